@@ -6,12 +6,13 @@ the nearest known one.
 
 from typing import Any
 
-from gsjax.config import parse, to_dict
-from gsjax.settings import BALANCED, DEMO, NONE, PRESETS, Rates, Settings
+from gsjax.config import merge, parse, to_dict
+from gsjax.presets import BALANCED, DEMO, PRESETS
+from gsjax.settings import NONE, Rates, Settings
 
 # No effects: runs are compared by the score of the render as it is. Nothing is held back for what photos are like.
-_BASE: dict[str, Any] = {**PRESETS["fast"], "effects": NONE, "sparse_views": False}
-_DEMO = {key: value for key, value in to_dict(parse(Settings, DEMO)).items() if _BASE.get(key) != value}
+_BASE: dict[str, Any] = merge(PRESETS["fast"], {"effects": {"names": NONE}, "schedule": {"sparse_views": False}})
+_DEMO = to_dict(parse(Settings, DEMO))
 
 CONFIGS: dict[str, dict[str, Any]] = {
     "base": _BASE,
@@ -19,70 +20,82 @@ CONFIGS: dict[str, dict[str, Any]] = {
     "demo": _DEMO,
     # The same in twice the steps, at the rates of 3DGS, with a surface phase of its own after the plain steps, which
     # variants of a study have in common.
-    "built_in": {
-        **_DEMO,
-        "sh_every": 400,
-        "phases": [
-            {"name": "vanilla", "steps": 1000, "density_control": True},
-            {
-                "name": "surface",
-                "steps": 850,
-                "weights": {"pixel_normal": 0.25, "thickness": 0.02},
-                "surface_every": 4,
+    "built_in": merge(
+        _DEMO,
+        {
+            "schedule": {
+                "sh_every": 400,
+                "phases": [
+                    {"name": "vanilla", "steps": 1000, "density_control": True},
+                    {
+                        "name": "surface",
+                        "steps": 850,
+                        "weights": {"pixel_normal": 0.25, "thickness": 0.02},
+                        "surface_every": 4,
+                    },
+                ],
             },
-        ],
-        "rates": to_dict(Rates()),
-        "density": {
-            "rule": "error",
-            "start": 200,
-            "stop": 900,
-            "every": 100,
-            "full_by": 0.9,
-            "replace": 0.05,
-            "reset_every": 0,
+            "rates": to_dict(Rates()),
+            "density": {
+                "rule": "error",
+                "start": 200,
+                "stop": 900,
+                "every": 100,
+                "full_by": 0.9,
+                "replace": 0.05,
+                "reset_every": 0,
+            },
         },
-    },
+    ),
     # Sixty rendered views of a scanned mesh on a plane, with true normals. Rates and ramp are 3DGS's: those of `fast`
     # gain 0.7 dB here and cost a third of the mesh's accuracy.
     "bunny_plane": {
-        "background": "white",
-        "max_gaussians": 20_000,
-        "sh_degree": 2,
-        "sh_every": 500,
-        "phases": [
-            {"name": "coarse", "steps": 400, "image_scale": 2, "density_control": True},
-            {"name": "vanilla", "steps": 1000, "density_control": True},
-            {"name": "surface", "steps": 800, "weights": {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02}},
-        ],
+        "model": {"background": "white", "max_gaussians": 20_000, "sh_degree": 2},
+        "schedule": {
+            "sh_every": 500,
+            "phases": [
+                {"name": "coarse", "steps": 400, "image_scale": 2, "density_control": True},
+                {"name": "vanilla", "steps": 1000, "density_control": True},
+                {
+                    "name": "surface",
+                    "steps": 800,
+                    "weights": {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02},
+                },
+            ],
+        },
         "rates": to_dict(Rates()),
         "density": {"start": 200, "stop": 1200, "every": 100, "full_by": 0.9, "replace": 0.05},
     },
     # Fifty real photos of an indoor scene, 267x475 pixels (the undistorted COLMAP model).
     "fox": {},
     # The same a third as large, with a quarter of the Gaussians: minutes on a CPU.
-    "fox_small": {"downscale": 3.0, "max_gaussians": 9_000},
+    "fox_small": {"photos": {"downscale": 3.0}, "model": {"max_gaussians": 9_000}},
     # Any real photos halved, fewer Gaussians, short phases: seeds are cheap.
     "photos_short": {
-        "downscale": 2,
-        "max_gaussians": 16_000,
-        "phases": [
-            {"name": "coarse", "steps": 300, "image_scale": 2, "density_control": True},
-            {"name": "vanilla", "steps": 900, "density_control": True},
-            {"name": "surface", "steps": 600, "weights": BALANCED["phases"][-1]["weights"]},
-        ],
+        "photos": {"downscale": 2},
+        "model": {"max_gaussians": 16_000},
+        "schedule": {
+            "phases": [
+                {"name": "coarse", "steps": 300, "image_scale": 2, "density_control": True},
+                {"name": "vanilla", "steps": 900, "density_control": True},
+                {"name": "surface", "steps": 600, "weights": BALANCED["schedule"]["phases"][-1]["weights"]},
+            ]
+        },
         "density": {"stop": 700},
     },
     # A NeRF-synthetic scene with RGBA images; random backgrounds and supervised coverage keep its surroundings empty.
-    "lego200": {"background": "random"},
+    "lego200": {"model": {"background": "random"}},
     # Every phase for a few steps on small photos: whether it runs, not how well.
     "smoke": {
-        "downscale": 2,
-        "max_gaussians": 4000,
-        "phases": [
-            {"name": "vanilla", "steps": 40, "density_control": True},
-            {"name": "entropy", "steps": 10, "weights": {"entropy": 0.1}},
-            {"name": "surface", "steps": 10, "weights": {"sdf_normal": 0.2}},
-        ],
+        "photos": {"downscale": 2},
+        "model": {"max_gaussians": 4000},
+        "schedule": {
+            "phases": [
+                {"name": "vanilla", "steps": 40, "density_control": True},
+                {"name": "entropy", "steps": 10, "weights": {"entropy": 0.1}},
+                {"name": "surface", "steps": 10, "weights": {"sdf_normal": 0.2}},
+            ]
+        },
         "density": {"start": 10, "stop": 30, "every": 10},
         "logging": {"metrics_every": 10, "evaluate_every": 0, "checkpoint_every": 20},
     },

@@ -159,10 +159,16 @@ def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = 
     if earlier is not None and not before.exists():
         _keep_those_of(earlier, before, settings)
     most = max((record["gaussians"] for record in runs.read_metrics(folder) if "gaussians" in record), default=0)
-    cap = {"most_gaussians": most, "max_gaussians": settings.max_gaussians, "cap_bound": most >= settings.max_gaussians}
+    cap = {
+        "most_gaussians": most,
+        "max_gaussians": settings.model.max_gaussians,
+        "cap_bound": most >= settings.model.max_gaussians,
+    }
     if cap["cap_bound"]:
-        print(f"paper_run: {folder}: growth was held at max_gaussians={settings.max_gaussians:,}", file=sys.stderr)
-    return {**summary, **cap, "normals": json_files.read(folder / "config.json")["normals"]}
+        print(
+            f"paper_run: {folder}: growth was held at max_gaussians={settings.model.max_gaussians:,}", file=sys.stderr
+        )
+    return {**summary, **cap, "normals": json_files.read(folder / "config.json")["supervision"]["normals"]}
 
 
 def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
@@ -194,10 +200,10 @@ def _keep_those_of(earlier: Path, file: Path, settings: Settings) -> None:
 
 def _regularised_from(settings: Settings) -> int:
     """Steps before the first phase with a regulariser; 0 where there is none, or no phase before it."""
-    if settings.vanilla:
+    if settings.schedule.vanilla:
         return 0
-    first = next((i for i, phase in enumerate(settings.phases) if _is_regularised(phase)), 0)
-    return sum(phase.steps for phase in settings.phases[:first])
+    first = next((i for i, phase in enumerate(settings.schedule.phases) if _is_regularised(phase)), 0)
+    return sum(phase.steps for phase in settings.schedule.phases[:first])
 
 
 def _is_regularised(phase: Phase) -> bool:

@@ -177,7 +177,7 @@ def main() -> None:
         " cull and R, whose meshes the sheets then show too")  # fmt: skip
     add("--set", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the training by their dotted keys")
     add("--set-scene", nargs="+", action="append", default=[], metavar=("NAME", "KEY=VALUE"), help="settings of the"
-        " training of one scene, such as phases.surface.weights.sdf_normal=0.3; may be repeated")  # fmt: skip
+        " training of one scene, such as schedule.phases.surface.weights.sdf_normal=0.3; may be repeated")  # fmt: skip
     add("--refine", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the refinement")
     add("--lpips", action="append", default=[], metavar="FILE", help="weights of LPIPS, as for `gsjax eval`; may be"
         " repeated (default: LPIPS is a dash)")  # fmt: skip

@@ -47,7 +47,7 @@ class Place:
     def settings(self, difference: Mapping[str, Any], seed: int) -> Settings:
         """The config's settings with a difference, in this place's share of the steps."""
         normals = self.scene / "normals"
-        given = {"seed": seed} | ({"normals": str(normals)} if normals.is_dir() else {})
+        given = {"seed": seed} | ({"supervision": {"normals": str(normals)}} if normals.is_dir() else {})
         return pipeline.scaled(parse(Settings, merge(self.config, given, difference)), self._share)
 
     def fresh(self, name: str) -> Path:
@@ -107,20 +107,22 @@ def table(config: Mapping[str, Any]) -> dict[str, Varied]:
 
 def of_training(config: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
     """Settings of the training: by name the differences from a config, by label."""
-    *plain, surface = config["phases"]
-    vanilla, steps, most = plain[-1], sum(phase["steps"] for phase in plain), config["max_gaussians"]
+    *plain, surface = config["schedule"]["phases"]
+    vanilla, steps, most = plain[-1], sum(phase["steps"] for phase in plain), config["model"]["max_gaussians"]
 
     def with_plain(factor: float) -> dict[str, Any]:
-        return {"phases": [*({**phase, "steps": round(factor * phase["steps"])} for phase in plain), surface]}
+        return {
+            "schedule": {"phases": [*({**phase, "steps": round(factor * phase["steps"])} for phase in plain), surface]}
+        }
 
     def with_surface(**difference: Any) -> dict[str, Any]:
-        return {"phases": [*plain, {**surface, **difference}]}
+        return {"schedule": {"phases": [*plain, {**surface, **difference}]}}
 
     def coarse(share: float) -> dict[str, Any]:
         """A share of the plain steps with photos of half the size."""
         small = round(share * steps)
         first = {**vanilla, "name": "coarse", "steps": small, "image_scale": 2}
-        return {"phases": [first, {**vanilla, "steps": steps - small}, surface]}
+        return {"schedule": {"phases": [first, {**vanilla, "steps": steps - small}, surface]}}
 
     def rarer(count: int) -> dict[str, Any]:
         """R in one of so many steps, and as many times as strong; terms that cost no time stay in every step."""
@@ -129,16 +131,18 @@ def of_training(config: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]
         return with_surface(surface_every=count, weights={**surface["weights"], **dear})
 
     return {
-        "Gaussians": {f"{round(f * most):,}": {"max_gaussians": round(f * most)} for f in (2, 1, 0.5, 0.25, 0.125)},
-        "harmonics": {f"degree {degree}": {"sh_degree": degree} for degree in (3, 2, 1, 0)},
+        "Gaussians": {
+            f"{round(f * most):,}": {"model": {"max_gaussians": round(f * most)}} for f in (2, 1, 0.5, 0.25, 0.125)
+        },
+        "harmonics": {f"degree {degree}": {"model": {"sh_degree": degree}} for degree in (3, 2, 1, 0)},
         "rule of growth": {rule: {"density": {"rule": rule}} for rule in ("error", "adc")},
         "steps at half size": {f"{share:.0%}": coarse(share) for share in (0.0, 0.25, 0.5, 0.75)},
         "plain steps": {f"x {factor:g}": with_plain(factor) for factor in STEPS},
         "surface steps": {f"x {factor:g}": with_surface(steps=round(factor * surface["steps"])) for factor in STEPS},
         "R": {label: rarer(count) for label, count in (("every step", 1), ("every 2nd", 2), ("every 4th", 4))},
         "points of R": {name: with_surface(weights={name: 0.2}) for name in ("sdf_normal", "pixel_normal")},
-        "depth of a splat": {mode: {"depth_mode": mode} for mode in ("front", "plane", "center")},
-        **{f"effect: {name}": {"simulated": {"effects": name}, "absent": {}} for name in SIMULATED},
+        "depth of a splat": {mode: {"model": {"depth_mode": mode}} for mode in ("front", "plane", "center")},
+        **{f"effect: {name}": {"simulated": {"effects": {"names": name}}, "absent": {}} for name in SIMULATED},
     }
 
 

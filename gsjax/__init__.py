@@ -46,7 +46,7 @@ HOMES = {
     # What the commands do.
     "extract_mesh": "meshing.extract",
     "mesh": "pipeline.mesh",
-    "preset": "settings",
+    "preset": "presets",
     "refine": "pipeline.refine",
     "scan": "pipeline.scan",
     "train": "pipeline.train",

@@ -75,6 +75,17 @@ def declare_types(record: Any) -> None:
             object.__setattr__(record, name, parser.value(hint, value, name))
 
 
+def refuse_moved(cls: Any, data: Mapping[str, Any], *, where: str) -> None:
+    """Raise InputError for a key that has moved: `cls.moved`, where a dataclass has such a table, says where to.
+
+    A key that names a group of fields today was a value: as a table or a record it is today's.
+    """
+    for key, now in getattr(cls, "moved", {}).items():
+        is_table = isinstance(data.get(key), Mapping) or dataclasses.is_dataclass(data.get(key))
+        if key in data and not (is_table and key in cls.__dataclass_fields__):
+            raise InputError(f"{where}: {key} is {now} now")
+
+
 def merge(base: Mapping[str, Any], *differences: Mapping[str, Any]) -> dict[str, Any]:
     """A new nested dict: later values win, mappings are merged key by key, lists are replaced.
 
@@ -140,6 +151,7 @@ class _Parser:
     def dataclass(self, cls: Any, data: Any, at: str) -> Any:
         if not isinstance(data, Mapping):
             raise self.mismatch(at, data, "a table of keys")
+        refuse_moved(cls, data, where=self.where)
         hints = _hints(cls)
         fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
         for key in data:

@@ -1,18 +1,15 @@
-"""Every number of a training run, as frozen records; presets are differences from the defaults.
+"""Every number of a training run, as frozen records, grouped as the packages that read them.
 
-Defaults are those of 3DGS and of the paper at full scale; each preset shortens the phases and moves their boundaries
-in proportion.
+Defaults are those of 3DGS and of the paper at full scale. `gsjax.presets` has what differs in shorter runs.
 """
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from gsjax import config
-from gsjax.config import declare_types, parse_numbers
-from gsjax.errors import InputError
+from gsjax.config import declare_types, parse_numbers, refuse_moved
 
 MOST_COUNT = 2**31 - 1  # of the integers of compiled programs
 MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
@@ -184,218 +181,161 @@ SURFACE = Phase("surface", 6000, Weights(sdf_normal=0.2))
 
 
 @dataclass(frozen=True)
-class Settings:
-    """A training run."""
+class Photos:
+    """Which photos a run reads, and at which size."""
 
-    seed: int = 0
-    downscale: float | None = None  # photos are so many times smaller; None: see `longest_side` and `cpu_pixels`
-    images: str | None = None  # folder of the photos, within the data set or absolute; None: looked for
-    photos: str | None = None  # file of the names of those that the run looks at, one a line; None: all
+    images: str | None = None  # folder of the photos, within the data set or absolute; None: the data set's own
+    subset: str | None = None  # file that names the photos to use, one a line; None: all
     hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
-    normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
-    normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
-    normal_gate: bool = False  # a normal counts as far as photos of the same place agree (`gsjax.normals.consistency`)
-    depth: str | None = None  # folder of measured depth, within the data set or anywhere, or "auto": as it lists them
-    depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
-    depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
-    sky: str | None = None  # folder of masks, 0 where photos show sky, found as `depth` is, or "auto": it must be seen
-    sky_weight: float = 0.1  # of the term `sky`, where photos show any
-    points: str | None = None  # PLY of points to start from, in the data set's coordinates; None: the data set's own
-    background: Literal["white", "black", "random"] = "black"
-    masks: Literal["valid", "matte"] = "valid"
-    depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.rendering`
-    pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.rendering.PIXEL_FILTERS`
-    effects: str = NONE  # "none"; "auto", those that the photos show; or names, as in "exposure,vignetting"
-    vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
-    phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
-    views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
-    max_gaussians: int = 1_000_000
-    far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
-    stereo_points: int = 0  # where photos agree about depth, beside that cloud; half of the budget at most
-    sparse_views: bool = False  # photos far apart are not learned by heart (`gsjax.planning.sparse_views`)
-    dropout: float = 0.0  # share of the Gaussians that each step leaves out, for few photos far apart
-    sh_degree: int = 3
-    sh_every: int = 1000  # steps between the bands of the ramp
-    rates: Rates = Rates()
-    density: Density = Density()
-    logging: Logging = Logging()
+    masks: Literal["valid", "matte"] = "valid"  # what the masks/ folder means: usable pixels, or coverage
+    downscale: float | None = None  # photos are so many times smaller; None: see `longest_side` and `cpu_pixels`
     longest_side: int = 1600  # of a photo, pixels, where no downscale is given (3DGS)
     cpu_pixels: int | None = None  # of a photo on a CPU, most, where no downscale is given; None: any number
 
     def __post_init__(self):
         """Check types and ranges."""
         declare_types(self)
-        check_seed(self.seed)
-        check_lowest(self, views_per_step=1, max_gaussians=1, far_points=0, stereo_points=0, sh_every=1, longest_side=1)
-        named_effects(self.effects)
+        check_lowest(self, longest_side=1)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")
-        check_lowest(self, depth_weight=0, sky_weight=0)
+        if self.cpu_pixels is not None:
+            check_lowest(self, cpu_pixels=1)
+
+
+@dataclass(frozen=True)
+class Supervision:
+    """What a run compares with beside the photos: maps of normals and of measured depth."""
+
+    normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
+    normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: determined from the rendered depth
+    normal_gate: bool = False  # normals that photos of the same place contradict weigh less (`normals.consistency`)
+    depth: str | None = None  # folder of measured depth, within the data set or anywhere, or "auto": as it lists them
+    depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
+    depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
+
+    def __post_init__(self):
+        """Check types and ranges."""
+        declare_types(self)
+        check_lowest(self, depth_weight=0)
         if self.depth is None and self.depth_unit is not None:
             raise ValueError(f"depth_unit={self.depth_unit} is the unit of no maps: depth names their folder")
-        if self.depth is not None and self.vanilla:
-            raise ValueError("vanilla is plain 3DGS, which has no term for depth: leave one of the two out")
-        if self.cpu_pixels is not None and self.cpu_pixels < 1:
-            raise ValueError(f"cpu_pixels={self.cpu_pixels} is below 1")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout={self.dropout} is not at least 0 and below 1")
+
+
+@dataclass(frozen=True)
+class Model:
+    """The Gaussians: how many, from which points they start, and how they are drawn."""
+
+    max_gaussians: int = 1_000_000
+    points: str | None = None  # PLY of points to start from, in the data set's coordinates; None: the data set's own
+    far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
+    stereo_points: int = 0  # by multi-view stereo, beside that cloud; half of the budget at most
+    sh_degree: int = 3
+    pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.rendering.PIXEL_FILTERS`
+    depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.rendering`
+    background: Literal["white", "black", "random"] = "black"
+
+    def __post_init__(self):
+        """Check types and ranges."""
+        declare_types(self)
+        check_lowest(self, max_gaussians=1, far_points=0, stereo_points=0)
         if not 0 <= self.sh_degree <= 4:
             raise ValueError(f"sh_degree={self.sh_degree} is not 0 to 4")
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """What runs when."""
+
+    phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
+    views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
+    sh_every: int = 1000  # steps between the bands of the ramp
+    vanilla: bool = False  # vanilla 3DGS for the same number of steps: no entropy, no cull, no normals
+    sparse_views: bool = False  # photos far apart are regularized (`gsjax.planning.sparse_views`)
+    dropout: float = 0.0  # share of the Gaussians that each step leaves out, for few photos far apart
+
+    def __post_init__(self):
+        """Check types and ranges."""
+        declare_types(self)
+        check_lowest(self, views_per_step=1, sh_every=1)
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout={self.dropout} is not at least 0 and below 1")
         if not self.phases:
             raise ValueError("there are no phases")
 
-
-def total_steps(settings: Settings) -> int:
-    """Steps of all phases."""
-    return sum(phase.steps for phase in settings.phases)
-
-
-def _phase(name: str, steps: int, **more: Any) -> dict:
-    return {"name": name, "steps": steps, **more}
+    @property
+    def steps(self) -> int:
+        """Of all phases."""
+        return sum(phase.steps for phase in self.phases)
 
 
-RATES: dict[str, float] = {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2}
-"""Of the presets for photos: larger than 3DGS's, whose runs are longer (experiments/results/rates.md)."""
+@dataclass(frozen=True)
+class EffectChoice:
+    """What photography added to the scene, to be simulated."""
 
-# On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
-# phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
-# (docs/deviations.md, experiments/results/mesh_terms.md).
-_SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
-# For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view` counts
-# pixels, of which the same way has half as many (experiments/results/price_on_photos.md).
-_HALF_SIZE_TERMS = {"pixel_normal": 0.1, "multi_view": 0.06, "photometric": 0.3}
-FAST: dict[str, Any] = {
-    "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
-    "effects": AUTO,
-    "normal_gate": True,
-    "sparse_views": True,
-    "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
-    "max_gaussians": 60_000,
-    "far_points": 1_800,
-    "cpu_pixels": 300_000,
-    "sh_every": 300,
-    "phases": [
-        _phase("coarse", 900, image_scale=2, density_control=True),
-        _phase("vanilla", 200, density_control=True),
-        _phase("surface", 1000, weights=_HALF_SIZE_TERMS, surface_every=4, surface_scale=2),
-    ],
-    "rates": {**RATES, "means": 1.28e-3},
-    "density": {"rule": "error", "start": 50, "stop": 1000, "full_by": 0.6, "reset_every": 0},
-    "logging": {"evaluate_every": 250, "checkpoint_every": 250},
-}
-QUICK = {  # small photos and their image alone: a step takes less than half as long, and one program is all to compile
-    **FAST,
-    "max_gaussians": 36_000,
-    "sh_every": 150,
-    "phases": [_phase("coarse", 900, image_scale=2, density_control=True)],
-    "rates": {**RATES, "sh_rest": 1e-3},
-    "density": {**FAST["density"], "start": 30, "stop": 630, "every": 50},
-}
-BALANCED = {
-    "depth_mode": "front",
-    "effects": AUTO,
-    "normal_gate": True,
-    "sparse_views": True,
-    "pixel_filter": "mip",
-    "max_gaussians": 120_000,
-    "far_points": 1_800,
-    "sh_every": 700,
-    "rates": RATES,
-    "phases": [
-        _phase("coarse", 1000, image_scale=2, density_control=True),
-        _phase("vanilla", 5000, density_control=True),
-        _phase("surface", 2000, weights=_SURFACE_TERMS),
-    ],
-    "density": {"rule": "error", "start": 50, "stop": 3600, "full_by": 0.6, "reset_every": 0},
-}
-ACCURATE = {  # `balanced` in as many steps as the paper's
-    **BALANCED,
-    "max_gaussians": 300_000,
-    "sh_every": 1300,
-    "phases": [
-        _phase("coarse", 1900, image_scale=2, density_control=True),
-        _phase("vanilla", 9350, density_control=True),
-        _phase("surface", 3750, weights=_SURFACE_TERMS),
-    ],
-    "density": {"rule": "error", "start": 100, "stop": 6700, "full_by": 0.6, "reset_every": 0},
-}
-PAPER_6K_15K = {
-    "phases": [
-        _phase("vanilla", 7000, density_control=True),
-        _phase("entropy", 2000, weights={"entropy": 0.1}, cull_below=0.5),
-        _phase("surface", 6000, weights={"sdf_normal": 0.2}),
-    ],
-    "rates": {"decay_steps": 30000},
-}
-PAPER_13K_7K = {
-    "phases": [
-        _phase("vanilla", 7000, density_control=True),
-        _phase("entropy", 2000, weights={"entropy": 0.1}, cull_below=0.5),
-        _phase("surface", 13000, weights={"sdf_normal": 0.2}),
-    ],
-    "rates": {"decay_steps": 30000},
-}
+    names: str = NONE  # "none"; "auto", those that the photos show; or names, as in "exposure,vignetting"
+    sky: str | None = None  # folder of masks, 0 where photos show sky, or "auto": it must be visible
+    sky_weight: float = 0.1  # of the term `sky`, where photos show any
 
-DEMO: dict[str, Any] = {
-    "background": "white",
-    "depth_mode": "front",
-    "pixel_filter": "mip",  # its pixels are means over their area, unsharpened
-    "max_gaussians": 12_000,
-    "sh_degree": 2,
-    "sh_every": 150,
-    "phases": [
-        _phase("vanilla", 100, density_control=True),
-        _phase("surface", 900, weights={"pixel_normal": 0.6, "thickness": 0.02}, surface_every=4, density_control=True),
-    ],
-    "rates": RATES,
-    "density": {
-        "rule": "error",
-        "start": 50,
-        "stop": 600,
-        "every": 50,
-        "full_by": 0.6,
-        "replace": 0.05,
-        "reset_every": 0,
+    def __post_init__(self):
+        """Check types and ranges."""
+        declare_types(self)
+        check_lowest(self, sky_weight=0)
+        named_effects(self.names)
+
+
+MOVED: Mapping[str, str] = {
+    **{
+        field.name: f"{group}.{field.name}"
+        for group, record in {
+            "photos": Photos, "supervision": Supervision, "model": Model, "schedule": Schedule, "effects": EffectChoice
+        }.items()
+        for field in fields(record)
     },
-    "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 2000},
-}
-"""The built-in scene at 192x192 pixels with its true normals (`gsjax.pipeline.demo`).
-
-R and `thickness` act while Gaussians multiply: splats that are thin by then cost pictures nothing
-(experiments/results/price_of_r.md).
-"""
-
-PRESETS: dict[str, dict[str, Any]] = {
-    "quick": QUICK,
-    "fast": FAST,
-    "balanced": BALANCED,
-    "accurate": ACCURATE,
-    "paper_6k_15k": PAPER_6K_15K,
-    "paper_13k_7k": PAPER_13K_7K,
-}
-REFINED_BY = {
-    "quick": "fast",
-    "fast": "fast",
-    "balanced": "balanced",
-    "accurate": "long",
-    "paper_6k_15k": "long",
-    "paper_13k_7k": "medium",
-}
-"""Of every preset, that of `gsjax.binding.refinement.PRESETS` by which its mesh is refined."""
-LENGTHS = ("quick", "fast", "balanced", "accurate")
-"""Of the presets, what a budget of time chooses from, the shortest first."""
+    "photos": "photos.subset",
+    "effects": "effects.names",
+}  # fmt: skip
+"""Keys of settings that had no groups -> where they are."""
 
 
-def preset(name: str, differences: Mapping[str, Any] | None = None) -> Settings:
-    """The settings of a preset, with differences from it.
+def group_flat(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A table of settings whose keys that have moved are in their groups, as `config.json` of earlier versions."""
+    is_flat = {key: key in MOVED and not isinstance(value, Mapping) for key, value in data.items()}
+    grouped = {key: value for key, value in data.items() if not is_flat[key]}
+    for key in (key for key in data if is_flat[key]):
+        group, name = MOVED[key].split(".")
+        grouped[group] = {**grouped.get(group, {}), name: data[key]}
+    return grouped
 
-    Args:
-        name: Of `PRESETS`.
-        differences: Fields of `Settings` by name; records within are tables of what differs.
 
-    Raises:
-        InputError: The preset or a field is unknown, or a value is out of range.
-    """
-    if name not in PRESETS:
-        raise InputError(f"preset {name!r} is none of {', '.join(PRESETS)}")
-    return config.parse(Settings, config.merge(PRESETS[name], differences or {}), where=f"preset {name}")
+@dataclass(frozen=True)
+class Settings:
+    """A training run."""
+
+    moved = MOVED
+    seed: int = 0
+    photos: Photos = Photos()
+    supervision: Supervision = Supervision()
+    model: Model = Model()
+    schedule: Schedule = Schedule()
+    effects: EffectChoice = EffectChoice()
+    rates: Rates = Rates()
+    density: Density = Density()
+    logging: Logging = Logging()
+
+    def __new__(cls, *_: Any, **given: Any) -> Self:
+        """Refuse keys that a group has now."""
+        refuse_moved(cls, given, where="Settings")
+        return super().__new__(cls)
+
+    def __post_init__(self):
+        """Check types and ranges."""
+        declare_types(self)
+        check_seed(self.seed)
+        if self.supervision.depth is not None and self.schedule.vanilla:
+            raise ValueError("vanilla is plain 3DGS, which has no term for depth: leave one of the two out")
+
+    def replace(self, **changes: Any) -> Self:
+        """These settings with other values; a table changes those fields of a group that it names."""
+        tables = {name: change for name, change in changes.items() if isinstance(change, Mapping)}
+        groups = {name: replace(getattr(self, name), **table) for name, table in tables.items()}
+        return replace(self, **changes | groups)

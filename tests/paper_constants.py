@@ -26,9 +26,10 @@ from gsjax.meshing import poisson
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.metrics import images
 from gsjax.pipeline import training_journal
+from gsjax.presets import PRESETS, REFINED_BY
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Pixels, Scene, frame_of
-from gsjax.settings import PRESETS, REFINED_BY, Density, Rates, Settings
+from gsjax.settings import Density, Rates, Settings
 from gsjax.training import initialize
 from gsjax.training.growth import adaptive
 from gsjax.training.optimizers import apply_gradients, make_optimizer
@@ -57,7 +58,7 @@ def budgets(settings: Settings) -> list[Budget]:
     """The phases of a run."""
     return [
         Budget(p.steps, p.density_control, p.weights.get("entropy", 0), p.weights.get("sdf_normal", 0), p.cull_below)
-        for p in settings.phases
+        for p in settings.schedule.phases
     ]
 
 
@@ -87,7 +88,7 @@ def degree_steps(name: str) -> int:
 
 
 def image_weights(settings: Settings) -> set[tuple[float, float]]:
-    return {(phase.weights["l1"], phase.weights["dssim"]) for phase in settings.phases}
+    return {(phase.weights["l1"], phase.weights["dssim"]) for phase in settings.schedule.phases}
 
 
 def rounded(value: Any) -> float:

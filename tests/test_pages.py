@@ -19,8 +19,9 @@ from gsjax.binding.mixed_gaussians import MixedGaussians, all_gaussians
 from gsjax.binding.refinement import Refinement
 from gsjax.io.ply import write_gaussians
 from gsjax.meshing import write_mesh
+from gsjax.presets import PRESETS
 from gsjax.scene.meshes import Mesh
-from gsjax.settings import PRESETS, Settings
+from gsjax.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -25,7 +25,7 @@ from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.batches import read_batches
 from gsjax.scene.meshes import Mesh, face_normals
-from gsjax.settings import Settings
+from gsjax.settings import Model, Photos, Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, settle_at=0.75)
@@ -55,7 +55,9 @@ def place(tmp_path_factory):
         pose = np.linalg.inv(np.asarray(camera.viewmat, np.float64)) @ np.diag([1, -1, -1, 1])
         frames.append({"file_path": f"images/{index}.png", "transform_matrix": pose.tolist()})
     (scene / "transforms.json").write_text(json.dumps({"fl_x": 30.0, "frames": frames}))
-    runs.create(run, config.to_dict(Settings(downscale=1, background="white")), scene=scene, seed=0)
+    runs.create(
+        run, config.to_dict(Settings(photos=Photos(downscale=1), model=Model(background="white"))), scene=scene, seed=0
+    )
     write_mesh(run / "mesh.ply", sheet())
     write_gaussians(run / "gaussians.ply", plane((0, 0, -1), per_side=9, spacing=0.4, radius=0.3))
     write_views(run, load_scene(scene, downscale=1).frames)
@@ -197,7 +199,7 @@ def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, t
     write_mesh(tmp_path / "behind.ply", sheet(depth=-4.0))
     (tmp_path / "broken.ply").write_bytes(b"ply\nformat")
     bare = tmp_path / "bare"
-    runs.create(bare, config.to_dict(Settings(downscale=1)), scene=place.scene, seed=0)
+    runs.create(bare, config.to_dict(Settings(photos=Photos(downscale=1))), scene=place.scene, seed=0)
     cases = [
         ([str(place.run), "--mesh", str(tmp_path / "none.ply")], "none.ply: no such mesh file"),
         ([str(place.run), "--mesh", str(tmp_path / "broken.ply")], "broken.ply: not readable as a mesh"),

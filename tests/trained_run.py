@@ -6,15 +6,15 @@ import pytest
 from gsjax import pipeline
 
 SETTINGS = {
-    "background": "white",
-    "max_gaussians": 900,
-    "sh_degree": 1,
-    "sh_every": 10,
-    "phases": [
-        {"name": "coarse", "steps": 12, "image_scale": 2, "density_control": True},
-        {"name": "entropy", "steps": 8, "weights": {"entropy": 0.1}, "cull_below": 0.05},
-        {"name": "surface", "steps": 10, "weights": {"sdf_normal": 0.2}},
-    ],
+    "model": {"background": "white", "max_gaussians": 900, "sh_degree": 1},
+    "schedule": {
+        "sh_every": 10,
+        "phases": [
+            {"name": "coarse", "steps": 12, "image_scale": 2, "density_control": True},
+            {"name": "entropy", "steps": 8, "weights": {"entropy": 0.1}, "cull_below": 0.05},
+            {"name": "surface", "steps": 10, "weights": {"sdf_normal": 0.2}},
+        ],
+    },
     "density": {"start": 2, "stop": 12, "every": 4, "reset_every": 0},
     "logging": {"metrics_every": 5, "evaluate_every": 15, "checkpoint_every": 7},
 }

@@ -18,7 +18,7 @@ from gsjax.numerics import masked_mean
 from gsjax.rendering import View
 from gsjax.scene import Pixels, extent, frame_of
 from gsjax.scene.batches import Batch
-from gsjax.settings import Phase, Settings, Weights
+from gsjax.settings import Model, Phase, Schedule, Settings, Weights
 from gsjax.training import initialize, optimizers
 from gsjax.training.loop import fit
 from gsjax.training.state import initial_state
@@ -102,7 +102,7 @@ cloud = rng.uniform(low, high, (800, 3)), rng.uniform(0, 1, (800, 3))
 # %%
 def trained(weights):
     phase = Phase("plain", 120, weights)
-    settings = Settings(phases=(phase,), background="white", sh_degree=0)
+    settings = Settings(schedule=Schedule(phases=(phase,)), model=Model(background="white", sh_degree=0))
     size = extent(tuple(frames))
     optimizer = optimizers.make_optimizer(settings.rates, size, phase.steps)
     state = initial_state(initialize.from_points(*cloud, capacity=800, sh_degree=0), optimizer)

@@ -16,8 +16,9 @@ from gsjax.io import analytic_scene
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.pictures import headlight, render_mesh
+from gsjax.presets import DEMO
 from gsjax.runs.result import open_result
-from gsjax.settings import DEMO, Settings
+from gsjax.settings import Settings
 
 # %% [markdown]
 # **1. Photos.** Here they are rendered; `gsjax sfm` makes such a folder of your own.
@@ -47,17 +48,18 @@ print(f"{len(scene.points):,} points")
 
 # %%
 shorter = {
-    "normals": str(folder / "normals"),
-    "max_gaussians": 3000,
-    "sh_degree": 1,
-    "phases": [
-        {
-            "name": "surface",
-            "steps": 200,
-            "density_control": True,
-            "weights": {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02},
-        }
-    ],
+    "supervision": {"normals": str(folder / "normals")},
+    "model": {"max_gaussians": 3000, "sh_degree": 1},
+    "schedule": {
+        "phases": [
+            {
+                "name": "surface",
+                "steps": 200,
+                "density_control": True,
+                "weights": {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02},
+            }
+        ]
+    },
     "density": {**DEMO["density"], "start": 50, "stop": 150, "every": 25},
     "logging": {"evaluate_every": 0, "metrics_every": 10},
 }

@@ -161,8 +161,9 @@ def steps_of(run: Path) -> dict[str, dict[str, float]]:
 
     from gsjax import config, gaussians, rendering
     from gsjax.planning.sizes import training_extent
+    from gsjax.presets import PRESETS
     from gsjax.runs.result import open_result, scene_of_run
-    from gsjax.settings import PRESETS, Settings
+    from gsjax.settings import Settings
 
     result, scene = open_result(run), scene_of_run(run)
     taken = steppers(

@@ -50,9 +50,10 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     from gsjax import config, rendering
     from gsjax.metrics.images import ssim
     from gsjax.planning.sizes import training_extent
+    from gsjax.presets import PRESETS
     from gsjax.runs.result import open_result, scene_of_run
     from gsjax.scene import batches
-    from gsjax.settings import PRESETS, Rates, Settings
+    from gsjax.settings import Rates, Settings
     from gsjax.training import optimizers
     from gsjax.training.capacity import chosen_capacity
     from gsjax.training.stepping import one_view
@@ -111,7 +112,6 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     import numpy as np
 
     from gsjax.scene import batches
-    from gsjax.settings import total_steps
     from gsjax.training.capacity import chosen_capacity
     from gsjax.training.growth.rules import RULES
     from gsjax.training.optimizers import make_optimizer
@@ -121,7 +121,7 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     from gsjax.training.stepping import one_view
     from gsjax.training.terms.multi_view import with_neighbors
 
-    optimizer, key = make_optimizer(settings.rates, extent, total_steps(settings)), jax.random.key(0)
+    optimizer, key = make_optimizer(settings.rates, extent, settings.schedule.steps), jax.random.key(0)
     facing = [np.tile(np.array([0, 0, -127], np.int8), (frame.height, frame.width, 1)) for frame in frames]
     taken = {}
     for phase in plan(settings).phases:
@@ -130,16 +130,16 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
         if "normals" in phase.needs:
             data = batches.with_normals(data, facing, scale)
         rule = RULES[settings.density.rule]
-        start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.pixel_filter)
+        start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.model.pixel_filter)
         state = initial_state(start, optimizer, rule)
         step = make_train_step(
             optimizer,
             tuple(each for each in phase.terms if data.has_mattes or each.name != "alpha"),
             capacity=chosen_capacity(start, data),
-            background=BACKGROUNDS[settings.background],
+            background=BACKGROUNDS[settings.model.background],
             sh_every=1,
             rule=phase.rule,
-            depth_mode=settings.depth_mode,
+            depth_mode=settings.model.depth_mode,
             extent=extent,
         )
         taken[phase.name] = _stepper(step, state, one_view(data, 0, 0.5)(0), key)

@@ -24,8 +24,9 @@ PHASES = [
     {"name": "surface", "steps": 4,
      "weights": {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}},
 ]  # fmt: skip
+MODEL = {"depth_mode": "front", "pixel_filter": "mip"}
 SETTINGS = {
-    "phases": PHASES, "depth_mode": "front", "pixel_filter": "mip", "downscale": 1,
+    "schedule": {"phases": PHASES}, "photos": {"downscale": 1},
     "density": {"rule": "error", "start": 2, "stop": 8, "every": 2, "full_by": 0.5, "reset_every": 0},
     "logging": {"evaluate_every": 0},
 }  # fmt: skip
@@ -62,7 +63,7 @@ def measure(out: Path, rows: int, size: tuple[int, int]) -> dict[str, float]:
         _write_cloud(cloud, scene, rows // 2)
     run = out / "run_{}_{}x{}".format(rows, *size)
     asked = [sys.executable, "-c", CHILD, str(scene), str(run), json.dumps(
-        {**SETTINGS, "max_gaussians": rows, "points": str(cloud.resolve())})]  # fmt: skip
+        {**SETTINGS, "model": {**MODEL, "max_gaussians": rows, "points": str(cloud.resolve())}})]  # fmt: skip
     compiling = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(run) + ".programs"}  # Nobody compiled them before.
     told = subprocess.run(asked, stdout=subprocess.PIPE, text=True, check=True, env=compiling).stdout
     found = json.loads(told.splitlines()[-1])

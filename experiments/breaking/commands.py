@@ -16,8 +16,8 @@ ROOT = Path(__file__).resolve().parents[2]
 Rows = Mapping[str, Sequence[Callable[[], list[str]]]]
 """By what is tried: measurements, each of which gives a cell or more of the row."""
 
-STEPS = "max_gaussians=600", "sh_degree=0", "logging.checkpoint_every=10", "logging.metrics_every=5"
-SMALL = ("--preset", "quick", "--set", "phases.0.steps=40", *STEPS)
+STEPS = "model.max_gaussians=600", "model.sh_degree=0", "logging.checkpoint_every=10", "logging.metrics_every=5"
+SMALL = ("--preset", "quick", "--set", "schedule.phases.0.steps=40", *STEPS)
 HALF = ("--box", "-9", "-9", "-9", "9", "9", "0")
 SPOTS = ("000.png", "20", "24", "000.png", "44", "24")
 ANEW, RESUME, NEVER = "anew", "resume", "never"
@@ -63,7 +63,7 @@ COMMANDS = {
     ),
     "texture": Command(("texture", "run", "--mesh", "mesh.ply", "--out"), "textured.glb", needs=("train", "mesh")),
     "scan": Command(
-        ("scan", "scene", *SMALL, "effects=none", "--out"),
+        ("scan", "scene", *SMALL, "effects.names=none", "--out"),
         "scan",
         ("run/gaussians.ply", "run/mesh.ply", "refined/mesh.ply", "mesh.glb", "overview.png"),
     ),

@@ -27,7 +27,7 @@ WORLDS = {
     "turned": ("1.0", "0, 0, 0", "0.3, -1.1, 0.7"),
     "turned another way": ("1.0", "0, 0, 0", "-1.3, 0.4, 0.9"),
 }
-SETTINGS = "phases.0.steps=600", "density.stop=420", "max_gaussians=4000", "sh_degree=1"
+SETTINGS = "schedule.phases.0.steps=600", "density.stop=420", "model.max_gaussians=4000", "model.sh_degree=1"
 SCENE = """
 from gsjax.io import analytic_scene
 analytic_scene.write("here", num_views=24, size=(96, 72))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax import config
-from gsjax.settings import Settings
+from gsjax.settings import Schedule, Settings
 
 
 def nearest(folders: Iterable[Path], settings: Settings) -> Path | None:
@@ -29,4 +29,5 @@ def nearest(folders: Iterable[Path], settings: Settings) -> Path | None:
 
 
 def _beside_phases(settings: Settings) -> dict[str, Any]:
-    return {name: value for name, value in config.to_dict(settings).items() if name not in ("phases", "vanilla")}
+    first = Schedule()
+    return config.to_dict(settings.replace(schedule={"phases": first.phases, "vanilla": first.vanilla}))

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.settings import PRESETS, REFINED_BY, Settings
+from gsjax.presets import PRESETS, REFINED_BY
+from gsjax.settings import Settings
 
 INDOOR, OUTDOOR = "Mip-NeRF 360, indoor", "Mip-NeRF 360, outdoor"
 TANKS, BLENDING = "Tanks & Temples", "Deep Blending"
@@ -38,11 +39,11 @@ NESTS = ("", "360_v2", "tandt", "db", "tandt_db/tandt", "tandt_db/db")
 """Where under a root the archives' scenes may lie: of Mip-NeRF 360, and of 3DGS's `tandt_db`."""
 
 SHARED: dict[str, Any] = {
-    "downscale": 1,  # the published files are of the size that is scored
-    "hold_out": "8",
+    # The published files are of the size that is scored.
+    "photos": {"downscale": 1, "hold_out": "8"},
     # No cap that is meant to bind: 3DGS's rule has none. Buffers hold what is alive and double as it grows, so a high
     # number costs nothing. 16 million rows are 11 GB of state and moments.
-    "max_gaussians": 16_000_000,
+    "model": {"max_gaussians": 16_000_000},
 }
 
 
@@ -75,13 +76,13 @@ docs/deviations.md names what still differs from SuGaR's own code.
 R, SUGAR = "R", "SuGaR's terms"
 SCHEDULES: dict[str, Schedule] = {
     "3dgs_30k": Schedule(
-        "paper_6k_15k", None, {"phases": [{"name": "vanilla", "steps": 30_000, "density_control": True}]}
+        "paper_6k_15k", None, {"schedule": {"phases": [{"name": "vanilla", "steps": 30_000, "density_control": True}]}}
     ),
-    "vanilla": Schedule("paper_6k_15k", None, {"vanilla": True}),
+    "vanilla": Schedule("paper_6k_15k", None, {"schedule": {"vanilla": True}}),
     "sugar": Schedule(
         "paper_6k_15k",
         SUGAR,
-        {"phases": {"surface": {"weights": {"sdf_normal": 0.0, "sugar_sdf": 0.2}}}},
+        {"schedule": {"phases": {"surface": {"weights": {"sdf_normal": 0.0, "sugar_sdf": 0.2}}}}},
     ),
     "paper_6k_15k": Schedule("paper_6k_15k", R),
     "paper_13k_7k": Schedule("paper_13k_7k", R),
@@ -105,9 +106,9 @@ def settings_of(scene: str, schedule: str, seed: int, assignments: Sequence[str]
         InputError: An assignment's key is unknown, or its value wrong.
     """
     chosen, place = SCHEDULES[schedule], SCENES[scene]
-    own: dict[str, Any] = {"images": place.images, "seed": seed}
+    own: dict[str, Any] = {"photos": {"images": place.images}, "seed": seed}
     if chosen.regulariser == R:
-        own["phases"] = {"surface": {"weights": {"sdf_normal": place.lambda_r}}}
+        own["schedule"] = {"phases": {"surface": {"weights": {"sdf_normal": place.lambda_r}}}}
     merged = config.merge(PRESETS[chosen.preset], SHARED, chosen.differences, own)
     whole = config.to_dict(config.parse(Settings, merged, where=scene))
     return config.parse(Settings, config.override(whole, assignments), where="--set")

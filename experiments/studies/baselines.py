@@ -72,7 +72,7 @@ def at_equal_time(
     """
     *first, last = phases
     time = mix * last["steps"]
-    shared = {"depth_mode": depth_mode}
+    shared = {"model": {"depth_mode": depth_mode}}
 
     def ending(method: Method) -> list[dict[str, Any]]:
         begin, end = method.within
@@ -85,9 +85,11 @@ def at_equal_time(
         return [part for part in parts if part["steps"]]
 
     def read(method: Method) -> dict[str, Any]:
-        return {"normals": "{scene}/normals"} if _reads_normals(method) else {}
+        return {"supervision": {"normals": "{scene}/normals"}} if _reads_normals(method) else {}
 
-    return {name: {"phases": [*first, *ending(each)]} | read(each) | shared for name, each in methods.items()}
+    return {
+        name: {"schedule": {"phases": [*first, *ending(each)]}} | read(each) | shared for name, each in methods.items()
+    }
 
 
 def _reads_normals(method: Method) -> bool:
@@ -100,4 +102,6 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
     costs = costs_on(on)
     methods = {name: Method(costs[name], weights) for name, weights in WEIGHTS.items()}
     rarer = Method(costs["ours, pixel_normal"], {"pixel_normal": 0.2}, every=4)
-    return at_equal_time(config["phases"], {**methods, "ours, pixel_normal in every 4th step": rarer}, costs[MIX])
+    return at_equal_time(
+        config["schedule"]["phases"], {**methods, "ours, pixel_normal in every 4th step": rarer}, costs[MIX]
+    )

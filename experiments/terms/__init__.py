@@ -36,7 +36,7 @@ def terms_of_scene(scene: str | Path, settings: Settings) -> dict[str, Term]:
     """The terms of a run on a data set."""
 
     def extent() -> float:
-        split = {"hold_out": settings.hold_out, "photos": settings.photos}
-        return training_extent(load_scene(scene, images=settings.images, **split))
+        split = {"hold_out": settings.photos.hold_out, "photos": settings.photos.subset}
+        return training_extent(load_scene(scene, images=settings.photos.images, **split))
 
     return make_terms(extent)

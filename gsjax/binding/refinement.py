@@ -26,10 +26,11 @@ from gsjax.binding.mixed_gaussians import MixedGaussians
 from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
 from gsjax.metrics.images import in_decibels
+from gsjax.presets import RATES
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.batches import Batch, Batches
-from gsjax.settings import RATES, Rates, check_lowest, check_seed
+from gsjax.settings import Rates, check_lowest, check_seed
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.faults import faulty_terms, photo_of

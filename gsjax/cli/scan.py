@@ -5,7 +5,7 @@ import argparse
 from gsjax.cli.parsers import add_command
 from gsjax.cli.sfm import add_reconstruction, print_if_small, reconstruction, tell_unused
 from gsjax.cli.train import add_training, training
-from gsjax.settings import REFINED_BY
+from gsjax.presets import REFINED_BY
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:

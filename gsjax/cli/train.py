@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -13,12 +13,21 @@ from gsjax.cli import environment
 from gsjax.cli.parsers import add_command, add_moved_scene, finite, given_options, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
-from gsjax.settings import LENGTHS, PRESETS, Settings
+from gsjax.presets import LENGTHS, PRESETS
+from gsjax.settings import Settings
 
-OPTIONS = (
-    "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "depth", "depth_unit", "sky", "points",
-    "background", "masks", "effects", "vanilla", "views_per_step",
-)  # fmt: skip
+OPTIONS = {
+    "seed": "seed",
+    **{name: f"photos.{name}" for name in ("downscale", "images", "hold_out", "masks")},
+    **{name: f"supervision.{name}" for name in ("normals", "normal_axes", "depth", "depth_unit")},
+    **{name: f"model.{name}" for name in ("points", "background")},
+    **{name: f"schedule.{name}" for name in ("vanilla", "views_per_step")},
+    "effects": "effects.names",
+    "sky": "effects.sky",
+}
+"""Options -> the keys of the settings that they set."""
+FEW_OPTIONS = "seed", "downscale", "hold_out"
+"""Of `add_training`."""
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -45,7 +54,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " for a GPU (default: fast)",
     )
     add("--budget", metavar="TIME", help="how long the run may take on this machine, as in 90s, 10m or 1.5h: picks the"
-        " preset, unless one is given, its steps, and its Gaussians unless `--set max_gaussians=N` does")  # fmt: skip
+        " preset, unless one is given, its steps, and, without `--set model.max_gaussians`, its Gaussians")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
     add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: to 1600 pixels,"
         " and with fast on a CPU to what its minutes bear)")  # fmt: skip
@@ -181,13 +190,13 @@ def settings(arguments: argparse.Namespace) -> Settings:
     started = Path(arguments.out) / "config.json"
     if arguments.resume and started.exists():
         base = config.merge(runs.read_settings(started.parent), PRESETS.get(arguments.preset, {}))
-        return override_settings(base, arguments, *OPTIONS)
+        return override_settings(base, arguments)
     if budget is None:
-        return override_settings(PRESETS[arguments.preset or "fast"], arguments, *OPTIONS)
+        return override_settings(PRESETS[arguments.preset or "fast"], arguments)
     runs.require_free(arguments.out)
     names = (arguments.preset,) if arguments.preset else LENGTHS
-    candidates = {name: override_settings(PRESETS[name], arguments, *OPTIONS) for name in names}
-    is_set = any(one.startswith("max_gaussians=") for group in arguments.assignments for one in group)
+    candidates = {name: override_settings(PRESETS[name], arguments) for name in names}
+    is_set = any(one.startswith("model.max_gaussians=") for group in arguments.assignments for one in group)
     lasting = pipeline.scaled if is_set else pipeline.resized
     chosen, line = pipeline.budgeted(arguments.scene, candidates, budget, lasting)
     print(f"budget of {arguments.budget}: {line}", file=sys.stderr)
@@ -212,10 +221,12 @@ def add_training(parser: argparse.ArgumentParser, length: str) -> None:
 
 def training(arguments: argparse.Namespace) -> Settings:
     """The settings that were chosen so."""
-    return override_settings(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
+    return override_settings(PRESETS[arguments.preset], arguments, FEW_OPTIONS)
 
 
-def override_settings(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
+def override_settings(
+    base: Mapping[str, Any], arguments: argparse.Namespace, names: Iterable[str] = OPTIONS
+) -> Settings:
     """Settings with the named options where they were given, then what `--set` says."""
     options = given_options(arguments, *names)
     for name, exists in (
@@ -226,7 +237,11 @@ def override_settings(base: Mapping[str, Any], arguments: argparse.Namespace, *n
     ):
         if exists(options.get(name, "")):  # As an absolute path, later commands find it from anywhere.
             options[name] = str(Path(options[name]).resolve())
+    changes: dict[str, Any] = {}
+    for name, value in options.items():
+        *group, key = OPTIONS[name].split(".")
+        (changes.setdefault(group[0], {}) if group else changes)[key] = value
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
-    whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))
+    whole = config.to_dict(config.parse(Settings, config.merge(base, changes), where="settings"))
     assignments = [one for group in arguments.assignments for one in group]
     return config.parse(Settings, config.override(whole, assignments), where="--set")

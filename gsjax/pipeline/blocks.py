@@ -27,7 +27,7 @@ from gsjax.runs.result import write_views
 from gsjax.runs.splits import split_of
 from gsjax.scene import Scene
 from gsjax.scene.cameras import viewmat_centers
-from gsjax.settings import AUTO, NONE, Settings, total_steps
+from gsjax.settings import AUTO, NONE, Settings
 from gsjax.training.plan import plan
 
 PLAN = "blocks.json"
@@ -97,7 +97,7 @@ def blocks(
         if not planned.is_done(number):
             print(f"blocks: {number} of {count}", file=sys.stderr)
             run = planned.run(number)
-            train(scene, run, replace(planned.settings, photos=planned.listed(number)), resume=run.exists())
+            train(scene, run, planned.settings.replace(photos={"subset": planned.listed(number)}), resume=run.exists())
     trained = [number for number in range(1, count + 1) if planned.is_done(number)]
     merged = planned.folder / "run" if len(trained) == count else None
     if merged is not None and not runs.is_finished(merged):
@@ -108,13 +108,17 @@ def blocks(
 
 
 def _without_effects(settings: Settings) -> Settings:
-    if settings.photos is not None:
-        raise InputError(f"photos={settings.photos}: each block chooses its photos")
-    if settings.sky is not None:
-        raise InputError(f"--sky {settings.sky}: the colours behind one block would not fit those behind the next")
-    if settings.effects not in (AUTO, NONE):
-        raise InputError(f"--effects {settings.effects}: what blocks find of effects would not fit at their borders")
-    return replace(settings, effects=NONE)
+    if settings.photos.subset is not None:
+        raise InputError(f"photos.subset={settings.photos.subset}: each block chooses its photos")
+    if settings.effects.sky is not None:
+        raise InputError(
+            f"--sky {settings.effects.sky}: the colours behind one block would not fit those behind the next"
+        )
+    if settings.effects.names not in (AUTO, NONE):
+        raise InputError(
+            f"--effects {settings.effects.names}: what blocks find of effects would not fit at their borders"
+        )
+    return settings.replace(effects={"names": NONE})
 
 
 def _planned(scene: Path, out: Path, settings: Settings, count: int) -> Blocks:
@@ -128,7 +132,7 @@ def _planned(scene: Path, out: Path, settings: Settings, count: int) -> Blocks:
         if {**kept, "blocks": len(kept["cells"])}[name] != value:
             raise InputError(f"{out}: was begun with another {name}; choose another folder with --out")
     cells = tuple(Cell(_limits(cell["low"], -math.inf), _limits(cell["high"], math.inf)) for cell in kept["cells"])
-    sized = replace(settings, downscale=kept["downscale"])
+    sized = settings.replace(photos={"downscale": kept["downscale"]})
     photos = tuple(tuple(cell["photos"]) for cell in kept["cells"])
     return Blocks(out, scene, sized, np.array(kept["directions"]), cells, photos)
 
@@ -140,8 +144,8 @@ def _limits(kept: Sequence[float | None], beyond: float) -> tuple[float, float]:
 
 def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
     """Return the plan's size of photos, cells, and photos of each cell."""
-    loaded = load_scene(scene, hold_out=settings.hold_out, images=settings.images)
-    photos = list_photos(scene, settings.images)
+    loaded = load_scene(scene, hold_out=settings.photos.hold_out, images=settings.photos.images)
+    photos = list_photos(scene, settings.photos.images)
     names = [photo.name for photo in photos]
     centers = viewmat_centers(np.stack([loaded.place.viewmat_to_world(photo.viewmat) for photo in photos]))
     along = directions(centers)
@@ -171,7 +175,7 @@ def _merge(planned: Blocks, out: Path) -> None:
     settings, count = planned.settings, len(planned.cells)
     parts = [_own(planned, number) for number in range(1, count + 1)]
     gaussians = concatenate(parts)
-    loaded, downscale, photos_line = at_size(planned.scene, settings, count * total_steps(settings))
+    loaded, downscale, photos_line = at_size(planned.scene, settings, count * settings.schedule.steps)
     record = replace(plan(settings), downscale=downscale).record()
     with atomic_folder(out) as run:
         runs.create(
@@ -189,11 +193,11 @@ def _merge(planned: Blocks, out: Path) -> None:
         scores = score_images(
             loaded.similarity.gaussians_to_local(gaussians),
             loaded.held_out_frames,
-            settings.background,
-            depth_mode=settings.depth_mode,
+            settings.model.background,
+            depth_mode=settings.model.depth_mode,
             observe=picture_keeper(run),
         )
-        figures = {"gaussians": gaussians.num_gaussians, "steps": count * total_steps(settings), **scores}
+        figures = {"gaussians": gaussians.num_gaussians, "steps": count * settings.schedule.steps, **scores}
         told = f"{count} blocks of {', '.join(f'{part.num_gaussians:,}' for part in parts)} Gaussians"
         runs.update_manifest(run, status="done", photos=photos_line, blocks=told, **figures)
     report_if_installed(out)

@@ -12,12 +12,13 @@ from gsjax.io.files import make_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
+from gsjax.presets import DEMO
 from gsjax.rendering import gallery
 from gsjax.report.figures import draw_panels
 from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
 from gsjax.runs.result import Result, open_result
 from gsjax.scene.colors import to_bytes
-from gsjax.settings import DEMO, Settings
+from gsjax.settings import Settings
 
 NUM_VIEWS, SIZE = 48, (192, 192)
 SURFACE_POINTS = 60_000  # A quarter of the usual: a third less time, and meshes 4 % further from the truth.
@@ -69,7 +70,9 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
 def _train(scene: Path, run: Path, *, earlier: Path | None = None) -> None:
     """The variant that the folder is named for."""
     print(f"demo: training the {run.name} variant")
-    settings = {**DEMO, "vanilla": run.name == "vanilla", "normals": str(scene / "normals")}
+    settings = config.merge(
+        DEMO, {"schedule": {"vanilla": run.name == "vanilla"}, "supervision": {"normals": str(scene / "normals")}}
+    )
     pipeline.train(scene, run, config.parse(Settings, settings), earlier=earlier)
 
 

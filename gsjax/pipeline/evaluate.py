@@ -68,7 +68,7 @@ def evaluate(
     """
     run, measures = Path(run), lpips_measures(lpips)
     result, folder = open_result(run), Run.open(run)
-    background, found = folder.settings["background"], folder.photo_effects
+    background, found = folder.settings["model"]["background"], folder.photo_effects
     scene = scene_of_run(run, scene=scene_folder)
     similarity = scene.similarity
     zoomed = {  # Refused before hours of scoring.

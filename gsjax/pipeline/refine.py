@@ -127,7 +127,7 @@ def refine(
     if not largest_need(bound, data):
         raise InputError(f"{source}: no training view of {scene.root} sees any of its {coarse.num_faces} triangles")
 
-    background = trained.settings["background"]
+    background = trained.settings["model"]["background"]
     asked = {**trained.settings, "mesh": str(source.resolve()), "refinement": config.to_dict(settings)}
     folder = (
         runs.reopen(out, asked, scene=scene.root)

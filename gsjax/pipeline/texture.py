@@ -62,5 +62,5 @@ def known_background(result: Result) -> np.ndarray | None:
     if not result.source.is_dir():
         return None
     run = Run(result.source)
-    is_random = run.settings["background"] == "random" and run.photo_effects.background is None
+    is_random = run.settings["model"]["background"] == "random" and run.photo_effects.background is None
     return None if is_random else result.background

@@ -19,7 +19,7 @@ from gsjax import config, runs
 from gsjax.effects.alignment import align
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, is_alive, take
-from gsjax.io import json_files, normal_folders
+from gsjax.io import normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.metrics.photos import score_images
@@ -44,9 +44,9 @@ from gsjax.runs.photo_effects import moves_line, with_moved_cameras, write_photo
 from gsjax.runs.processes import from_first, is_first, own_folder, same_everywhere
 from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
-from gsjax.runs.splits import require_photos_of_effects, split_of, split_record
+from gsjax.runs.splits import require_photos_of_effects, split_of
 from gsjax.scene import Scene, kept
-from gsjax.settings import AUTO, PLAIN, Settings
+from gsjax.settings import AUTO, Settings
 from gsjax.training import data_parallel, optimizers
 from gsjax.training.data_parallel import Devices, device_mesh
 from gsjax.training.growth.rules import RULES
@@ -74,7 +74,7 @@ def train(
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
         out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
-        settings: The run, or a table of it such as `gsjax.settings.PRESETS["quick"]`. A phase gives terms of the loss
+        settings: The run, or a table of it such as `gsjax.presets.PRESETS["quick"]`. A phase gives terms of the loss
             their weights by name.
         terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place:
             functions of (Gaussians, View, Batch), or a `Term` that says what such a function needs.
@@ -105,7 +105,7 @@ def train(
         known = Run.open(folder).plan if resume and is_first() and runs.can_resume(folder) else None
         if known:
             runs.require_scene(folder, scene)
-        mesh = device_mesh(devices, settings.views_per_step)
+        mesh = device_mesh(devices, settings.schedule.views_per_step)
         planned = _planned(scene, settings, terms, known)
         return _train(scene, folder, settings, planned, known, earlier, observe, mesh)
 
@@ -120,20 +120,22 @@ def _planned(
     planned = plan(settings, terms)
     if known and "max_gaussians" in known:  # Memory may have borne fewer than were asked for.
         planned = replace(planned, max_gaussians=known["max_gaussians"])
-    if settings.normals is None:
+    if settings.supervision.normals is None:
         return planned
-    return replace(planned, normals=known["normals"] if known else normal_folders.find(scene, settings.normals))
+    return replace(
+        planned, normals=known["normals"] if known else normal_folders.find(scene, settings.supervision.normals)
+    )
 
 
 def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:
     """Where the run computes and with which engine, on what, and what of the plan may surprise."""
     engine = engine_here()
     lines = [f"on {engine.device} with the {engine.name} rasterizer", photos_line]
-    if settings.dropout:
-        lines.append(f"every step leaves out {settings.dropout:.0%} of the Gaussians")
+    if settings.schedule.dropout:
+        lines.append(f"every step leaves out {settings.schedule.dropout:.0%} of the Gaussians")
     if any(phase.rule is RULES["adc"] for phase in planned.phases):
         lines.append(f"growth stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
-    if settings.normals is None and "normals" in planned.needs:
+    if settings.supervision.normals is None and "normals" in planned.needs:
         lines.append("no maps of normals (--normals): the run's own depth stands in for a network")
     return lines
 
@@ -176,16 +178,17 @@ def _train(
     sparse_line = () if sparse is None else (sparse.line(planned),)
     for line in (*_beginning_lines(planned, settings, photos_line), *sparse_line):
         print(f"train: {line}", file=sys.stderr)
-    looked = look_for_effects(settings.effects, loaded)
+    looked = look_for_effects(settings.effects.names, loaded)
     loaded, frames = looked.scene, looked.scene.train_frames
     size = training_extent(loaded)
     notify = partial(note_normals, out)
-    how = settings.normal_axes, frames, settings.depth_mode, settings.normal_gate
+    maps, mode = settings.supervision, settings.model.depth_mode
+    how = maps.normal_axes, frames, mode, maps.normal_gate
     normal_source = NormalSource(out, planned.normals, *how, keep=fitted.keep, notify=notify)
     measured, started = measured_depth(loaded, settings), with_given_points(loaded, settings)
     if measured is not None:
         print(f"train: depth {measured.line}", file=sys.stderr)
-    sized = replace(settings, max_gaussians=planned.max_gaussians)
+    sized = settings.replace(model={"max_gaussians": planned.max_gaussians})
     if begun_in is None or runs.latest_checkpoint(begun_in) is None:
         started, stereo_lines = with_stereo_points(started, planned)
         for line in stereo_lines:
@@ -200,13 +203,13 @@ def _train(
     skies = read_sky_masks(loaded, settings, downscale)
     before = None if begun is None else begun.manifest.get("effects")
     chosen = choose_effects(
-        settings.effects,
+        settings.effects.names,
         planned,
         loaded,
         lambda *how: same_everywhere(validate(*how)),
         looked,
         skies=skies,
-        with_sky=settings.sky == AUTO,
+        with_sky=settings.effects.sky == AUTO,
         before=before,
     )
     planned = replace(planned.with_effects(chosen.names), downscale=downscale)
@@ -216,7 +219,7 @@ def _train(
     in_common = None if earlier is None else shared_steps(earlier, planned)
     as_dict = config.to_dict(settings)
     run = (
-        runs.reopen(out, _completed(as_dict), scene=scene, completed=_completed)
+        runs.reopen(out, as_dict, scene=scene)
         if known
         else runs.create(
             out,
@@ -230,9 +233,6 @@ def _train(
         )
     )
     with runs.claim_run(run):
-        if known:  # An earlier version left none.
-            json_files.write(run / "plan.json", planned.record())
-            runs.update_manifest(run, split=split_record(split))
         memory = {"memory": "; ".join(fitted.lines)} if fitted.lines else {}
         runs.update_manifest(run, photos=photos_line, **memory, **({} if sparse is None else {ENTRY: asdict(sparse)}))
         if chosen.evidence:
@@ -299,13 +299,6 @@ def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainS
     if not is_first() and rows != state.gaussians.num_gaussians:
         state = initial(rows)
     return from_first(state)
-
-
-def _completed(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings with what was not there yet when a run was started; weights of 0 say nothing, and are left out."""
-    for phase in settings["phases"]:
-        phase["weights"] = {name: weight for name, weight in phase["weights"].items() if weight or name in PLAIN}
-    return config.to_dict(config.parse(Settings, settings, where="config.json"))
 
 
 def living_gaussians(gaussians: Gaussians) -> Gaussians:

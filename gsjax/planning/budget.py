@@ -13,9 +13,10 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.planning.pace import FIXED_COST, TIMED, UNTIMED, relative_cost
 from gsjax.planning.sizes import at_size, training_extent
+from gsjax.presets import LENGTHS
 from gsjax.scene import Scene, kept
 from gsjax.scene.batches import NORMAL_UNIT
-from gsjax.settings import LENGTHS, Settings, total_steps
+from gsjax.settings import Settings
 from gsjax.training import initialize, loop, optimizers
 from gsjax.training.growth.rules import rule_named
 from gsjax.training.plan import plan
@@ -44,12 +45,13 @@ def scaled(settings: Settings, factor: float) -> Settings:
     density = replace(settings.density, **{name: times(getattr(settings.density, name)) for name in named})
     # Gaussians that moved by error need steps to settle; 3DGS's rule grows more of them, the more often it is applied.
     settling = (density.stop - density.start) // FEWEST_ROUNDS if density.rule == "error" else 0
-    return replace(
-        settings,
-        phases=tuple(replace(phase, steps=times(phase.steps)) for phase in settings.phases),
-        sh_every=times(settings.sh_every),
+    return settings.replace(
         rates=replace(settings.rates, decay_steps=times(settings.rates.decay_steps)),
         density=replace(density, every=min(every, max(SHORTEST_INTERVAL, round(factor * every), settling))),
+        schedule={
+            "phases": tuple(replace(phase, steps=times(phase.steps)) for phase in settings.schedule.phases),
+            "sh_every": times(settings.schedule.sh_every),
+        },
     )
 
 
@@ -59,7 +61,7 @@ def resized(settings: Settings, factor: float) -> Settings:
         return scaled(settings, factor)
     gaussians = math.sqrt(factor)
     shorter = scaled(settings, factor / (1 - PER_GAUSSIAN * (1 - gaussians)))
-    return replace(shorter, max_gaussians=max(1, round(gaussians * settings.max_gaussians)))
+    return shorter.replace(model={"max_gaussians": max(1, round(gaussians * settings.model.max_gaussians))})
 
 
 def budgeted(
@@ -81,10 +83,10 @@ def budgeted(
     """
     began, scenes = time.perf_counter(), {}
     for name, settings in candidates.items():
-        if not total_steps(settings):
+        if not settings.schedule.steps:
             raise InputError(f"--budget: the phases of {name} have no steps to scale")
-        loaded, downscale, _ = at_size(scene, settings, total_steps(settings))
-        scenes[name] = loaded, replace(settings, downscale=downscale)
+        loaded, downscale, _ = at_size(scene, settings, settings.schedule.steps)
+        scenes[name] = loaded, settings.replace(photos={"downscale": downscale})
     name = next(iter(scenes))
     settings = scenes[name][1]
     whole, compiling = measure(*scenes[name])
@@ -97,12 +99,12 @@ def budgeted(
     spent = time.perf_counter() - began + compiling  # The run compiles its own programs.
     part = max(((1 - RESERVED) * seconds - spent) / whole, 0.0)
     chosen = lasting(settings, min(part, 1.0) if name == LENGTHS[-1] else part)
-    if total_steps(chosen) < FEWEST_STEPS:
-        least = math.ceil((spent + FEWEST_STEPS * whole / total_steps(settings)) / (1 - RESERVED))
+    if chosen.schedule.steps < FEWEST_STEPS:
+        least = math.ceil((spent + FEWEST_STEPS * whole / settings.schedule.steps) / (1 - RESERVED))
         raise InputError(
             f"--budget of {seconds:g} s is too short: even {FEWEST_STEPS} steps take {least} s here in all"
         )
-    return chosen, f"{name} in {total_steps(chosen):,} steps, with up to {chosen.max_gaussians:,} Gaussians"
+    return chosen, f"{name} in {chosen.schedule.steps:,} steps, with up to {chosen.model.max_gaussians:,} Gaussians"
 
 
 def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
@@ -142,19 +144,19 @@ def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
 
 def _grown(scene: Scene, settings: Settings) -> Gaussians:
     """As many Gaussians as the run ends with, about the points of the scene."""
-    points, most = scene.points, settings.max_gaussians
+    points, most = scene.points, settings.model.max_gaussians
     count = most if settings.density.rule == "error" else min(most, GROWN * len(points))
     chosen = np.resize(np.random.default_rng(0).permutation(len(points)), count)
     spacing = KDTree(points).query(points, min(4, len(points)))[0].reshape(len(points), -1)[chosen, -1:]
     means = points[chosen] + np.random.default_rng(1).normal(size=(count, 3)) * spacing / 2
-    how = {"sh_degree": settings.sh_degree, "pixel_filter": settings.pixel_filter, "opacity": 0.5}
+    how = {"sh_degree": settings.model.sh_degree, "pixel_filter": settings.model.pixel_filter, "opacity": 0.5}
     gaussians = initialize.from_points(means.astype(np.float32), scene.point_colors[chosen], capacity=count, **how)
     return replace(gaussians, log_scales=gaussians.log_scales + math.log(WIDENED))
 
 
 def _units(settings: Settings, other: Settings) -> float:
     """All steps of a run, in plain steps of another one on the same photos; both name a size."""
-    assert settings.downscale and other.downscale
-    pixels = (other.downscale / settings.downscale) ** 2
-    step = FIXED_COST * settings.max_gaussians / other.max_gaussians + (1 - FIXED_COST) * pixels
+    assert settings.photos.downscale and other.photos.downscale
+    pixels = (other.photos.downscale / settings.photos.downscale) ** 2
+    step = FIXED_COST * settings.model.max_gaussians / other.model.max_gaussians + (1 - FIXED_COST) * pixels
     return step * sum(phase.steps * relative_cost(phase) for phase in plan(settings).phases)

@@ -110,11 +110,11 @@ class EffectRuns:
 
     @property
     def _scale(self) -> int:
-        return self.settings.phases[0].image_scale
+        return self.settings.schedule.phases[0].image_scale
 
     @property
     def _color(self) -> np.ndarray:
-        return BACKGROUND_COLORS[self.settings.background]
+        return BACKGROUND_COLORS[self.settings.model.background]
 
     def _pictures(self, state: TrainState, begun: Start, names: Sequence[str]) -> list[np.ndarray]:
         looks, moved, behind = {}, {}, self._color
@@ -127,7 +127,7 @@ class EffectRuns:
         small = [_reduced(frame, self._scale) for frame in given]
         cameras = [Camera(frame.viewmat, frame.K, frame.width, frame.height) for frame in small]
         gaussians: Gaussians = jax.tree.map(jnp.asarray, state.gaussians)
-        pictures = gallery.pictures(gaussians, cameras, behind, self.settings.depth_mode)
+        pictures = gallery.pictures(gaussians, cameras, behind, self.settings.model.depth_mode)
         return [self._as_taken(frame, picture, looks) for frame, picture in zip(small, pictures, strict=True)]
 
     def _as_taken(self, frame: Frame, picture: gallery.Picture, looks) -> np.ndarray:

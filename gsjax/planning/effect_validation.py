@@ -17,7 +17,7 @@ from gsjax.planning.effect_runs import HURRY, EffectRuns, Initial, held_out_bloc
 from gsjax.planning.pace import FIXED_COST, relative_cost
 from gsjax.planning.validation import Validated, image_scale, short_settings
 from gsjax.scene import Frame, kept
-from gsjax.settings import Phase, Settings
+from gsjax.settings import Model, Phase, Settings
 from gsjax.training.plan import Plan
 
 SHARE = 0.05  # of the run's time that all validation runs may take
@@ -44,8 +44,8 @@ def steps_of_each(planned: Plan, frames: Sequence[Frame], count: int) -> int | N
     if planned.photos_seen < SHORTEST or not count:
         return None
     whole = planned.views_per_step * sum(phase.steps * relative_cost(phase) for phase in planned.phases)
-    short = short_settings(Settings(max_gaussians=planned.max_gaussians), frames, 0, SIDE)
-    gaussians = short.max_gaussians / planned.max_gaussians
+    short = short_settings(Settings(model=Model(max_gaussians=planned.max_gaussians)), frames, 0, SIDE)
+    gaussians = short.model.max_gaussians / planned.max_gaussians
     step = FIXED_COST * gaussians + (1 - FIXED_COST) / _scale(planned, frames) ** 2
     steps = int(SHARE * whole / (step * (count + 1)) - RENDERED * min(len(frames), PHOTOS))
     return min(steps, MOST_STEPS) if steps >= FEWEST_STEPS else None
@@ -89,10 +89,12 @@ class EffectValidation:
     def _short(self, steps: int) -> Settings:
         short = short_settings(self.settings, self.frames, 0, SIDE)
         phase = Phase("validation", steps, image_scale=_scale(self.planned, self.frames))
-        behind = "black" if short.background == "random" else short.background
+        behind = "black" if short.model.background == "random" else short.model.background
         # Points have the colours of the photos that they were matched in: what gains change must be learned in time.
         rates = replace(short.rates, sh_dc=HURRY * short.rates.sh_dc)
-        return replace(short, phases=(phase,), sh_every=max(steps // 6, 1), background=behind, rates=rates)
+        return short.replace(
+            rates=rates, schedule={"phases": (phase,), "sh_every": max(steps // 6, 1)}, model={"background": behind}
+        )
 
 
 def select(

@@ -66,7 +66,13 @@ def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) ->
             parted = [replace(each, held_out=index % FOLDS == fold) for index, each in enumerate(frames)]
             fold_scene = replace(scene, frames=tuple(parted))
             as_it_is, held = (
-                _scored(each, fold_scene, replace(short, max_gaussians=each.plan.max_gaussians), matched, bar.update)
+                _scored(
+                    each,
+                    fold_scene,
+                    short.replace(model={"max_gaussians": each.plan.max_gaussians}),
+                    matched,
+                    bar.update,
+                )
                 for each in variants
             )
             pairs += zip(as_it_is, held, strict=True)
@@ -88,7 +94,7 @@ def _scored(
 ) -> list[Score]:
     """Scores of a scene's held-out photos after a validation run on the others; `matched`: name -> `[P, 3]` points."""
     started, _ = with_stereo_points(scene, variant.plan)
-    state = first_state(started, settings, variant.optimizer, {}, rows=settings.max_gaussians)
+    state = first_state(started, settings, variant.optimizer, {}, rows=settings.model.max_gaussians)
     state = variant.train(scene.train_frames, state, observe)
     photos = batches.read_batches(scene.held_out_frames, scale=variant.plan.phases[0].scale)
     points = [matched.get(frame.name, np.zeros((0, 3))) for frame in scene.held_out_frames]
@@ -97,9 +103,9 @@ def _scored(
 
 def _scores(gaussians: Gaussians, photos: Batches, points: Sequence[np.ndarray], settings: Settings) -> list[Score]:
     """Of every photo, by its matched points `[P, 3]`. If a mask leaves nothing, PSNR is the highest, either way."""
-    color = BACKGROUND_COLORS[settings.background]
+    color = BACKGROUND_COLORS[settings.model.background]
     cameras = [each.camera for each in photos.views]
-    shown = list(gallery.pictures(gaussians, cameras, color, settings.depth_mode))
+    shown = list(gallery.pictures(gaussians, cameras, color, settings.model.depth_mode))
     compared = [batches.decode(each, jnp.asarray(color, jnp.float32)) for each in photos.views]
     pairs = zip(shown, compared, strict=True)
     errors = [mse(jnp.asarray(picture.colors), batch.image, batch.valid) for picture, batch in pairs]

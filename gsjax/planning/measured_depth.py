@@ -48,11 +48,11 @@ def measured_depth(scene: Scene, settings: Settings) -> MeasuredDepth | None:
         InputError: The folder, its unit or a map cannot be used, or the maps do not fit the scene's points.
     """
     frames = scene.train_frames
-    if settings.depth is None:
+    if settings.supervision.depth is None:
         if listed := sum(frame.depth is not None for frame in frames):
             print_once(f"{scene.root}: lists depth maps of {listed} of {len(frames)} photos; --depth trains on them")
         return None
-    maps = open_depth_maps(scene.root, settings.depth, settings.depth_unit, frames)
+    maps = open_depth_maps(scene.root, settings.supervision.depth, settings.supervision.depth_unit, frames)
     factor, told = _factor(scene, maps)
 
     def depths(scale: int) -> Iterator[Readings]:

@@ -36,10 +36,10 @@ def at_size(
     opened = partial(
         load_scene,
         scene,
-        folder_masks=settings.masks,
-        images=settings.images,
-        hold_out=NONE if split else settings.hold_out,
-        photos=None if split else settings.photos,
+        folder_masks=settings.photos.masks,
+        images=settings.photos.images,
+        hold_out=NONE if split else settings.photos.hold_out,
+        photos=None if split else settings.photos.subset,
         similarity=run and run.similarity,
         place=run and run.place,
     )
@@ -86,12 +86,12 @@ def chosen_downscale(settings: Settings, frames: Sequence[Frame], *, on_cpu: boo
         frames: Photos as they were taken.
         on_cpu: Where it runs. None: as jax says.
     """
-    if settings.downscale is not None:
-        return settings.downscale
-    factor = max(1.0, max(max(f.width, f.height) for f in frames) / settings.longest_side)
+    if settings.photos.downscale is not None:
+        return settings.photos.downscale
+    factor = max(1.0, max(max(f.width, f.height) for f in frames) / settings.photos.longest_side)
     on_cpu = computes_on_cpu() if on_cpu is None else on_cpu
-    if on_cpu and settings.cpu_pixels is not None:
-        factor = max(factor, math.sqrt(max(f.width * f.height for f in frames) / settings.cpu_pixels))
+    if on_cpu and settings.photos.cpu_pixels is not None:
+        factor = max(factor, math.sqrt(max(f.width * f.height for f in frames) / settings.photos.cpu_pixels))
     return round(factor, 4)
 
 

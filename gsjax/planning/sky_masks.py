@@ -18,15 +18,15 @@ def read_sky_masks(scene: Scene, settings: Settings, downscale: float) -> Masks 
     Raises:
         InputError: There is no such folder, it has no mask of any photo, or one does not fit its photo.
     """
-    if settings.sky in (None, AUTO):
+    if settings.effects.sky in (None, AUTO):
         return None
-    folder = scene.root / settings.sky  # An absolute path stays what it is.
+    folder = scene.root / settings.effects.sky  # An absolute path stays what it is.
     if not folder.is_dir():
-        raise InputError(f"--sky {settings.sky}: there is no such folder, in {scene.root} or elsewhere")
+        raise InputError(f"--sky {settings.effects.sky}: there is no such folder, in {scene.root} or elsewhere")
     masked = load_scene(
         scene.root,
         downscale=downscale,
-        images=settings.images,
+        images=settings.photos.images,
         hold_out=NONE,
         similarity=scene.similarity,
         place=scene.place,
@@ -40,5 +40,5 @@ def read_sky_masks(scene: Scene, settings: Settings, downscale: float) -> Masks 
         if is_sky is not None and is_sky.any():
             masks[frame.name] = is_sky
     if not masks:
-        raise InputError(f"--sky {settings.sky}: no mask in {folder} is 0 anywhere where a photo may be used")
+        raise InputError(f"--sky {settings.effects.sky}: no mask in {folder} is 0 anywhere where a photo may be used")
     return masks

@@ -83,7 +83,7 @@ class Decision:
             return f"{self.photos} photos{apart}: holding back would not help{why}"
         left_out = f"each step leaves out {plan.phases[0].dropout:.0%} of them"
         held = f"held back to {plan.max_gaussians:,} Gaussians, {left_out}{why}"
-        return f"{self.photos} photos{apart}: {held}; --set sparse_views=false trains without"
+        return f"{self.photos} photos{apart}: {held}; --set schedule.sparse_views=false trains without"
 
     def _found(self) -> str:
         found = f"{self.gain:+.1f} +-{self.error:.1f} dB"
@@ -117,7 +117,7 @@ def for_sparse_views(
     Raises:
         InputError: The tracks or photos cannot be read, or the tracks name points that the scene does not have.
     """
-    if not settings.sparse_views or settings.vanilla:
+    if not settings.schedule.sparse_views or settings.schedule.vanilla:
         return planned, None
     decision = Decision(**before) if before else _decide(planned, scene, settings, trial)
     if decision is None or not decision.held_back:

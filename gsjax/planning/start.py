@@ -24,9 +24,9 @@ CLOUD_SHARE = 2  # The budget divided by this bounds the points by stereo; nobod
 
 def with_given_points(scene: Scene, settings: Settings) -> Scene:
     """The scene with the cloud that the settings name, which only the start of training looks at, and no tracks."""
-    if settings.points is None:
+    if settings.model.points is None:
         return scene
-    points, colors = read_points(settings.points)
+    points, colors = read_points(settings.model.points)
     local = scene.similarity.points_to_local(scene.place.points_to_world(points))
     return replace(scene, points=local, point_colors=colors, tracks=None)
 
@@ -49,12 +49,12 @@ def with_stereo_points(scene: Scene, planned: Plan) -> tuple[Scene, tuple[str, .
 
 def starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
     """The cloud and its colours, with grey points far around it unless what is behind all is laid there by us."""
-    frames, count = scene.train_frames, min(settings.far_points, settings.max_gaussians // FAR_SHARE)
-    if not count or settings.background == "white" or any(frame.pixels().matte is not None for frame in frames):
+    frames, count = scene.train_frames, min(settings.model.far_points, settings.model.max_gaussians // FAR_SHARE)
+    if not count or settings.model.background == "white" or any(frame.pixels().matte is not None for frame in frames):
         return scene.points, scene.point_colors
     far = initialize.far_points(scene.points, frames, count)
     # Of a cloud larger than the budget some stay out: the far ones must not be among them.
-    room = min(settings.max_gaussians - len(far), len(scene.points))
+    room = min(settings.model.max_gaussians - len(far), len(scene.points))
     kept = np.linspace(0, len(scene.points) - 1, room).astype(int)
     grey = np.full((len(far), 3), 128, np.uint8)
     return np.concatenate([scene.points[kept], far]), np.concatenate([scene.point_colors[kept], grey])
@@ -76,8 +76,8 @@ def first_state(
     first = initialize.from_points(
         points,
         colors,
-        capacity=rows or bucket(len(points), settings.max_gaussians),
-        sh_degree=settings.sh_degree,
-        pixel_filter=settings.pixel_filter,
+        capacity=rows or bucket(len(points), settings.model.max_gaussians),
+        sh_degree=settings.model.sh_degree,
+        pixel_filter=settings.model.pixel_filter,
     )
     return initial_state(first, optimizer, rule_named(settings.density.rule), effects)

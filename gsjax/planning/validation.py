@@ -12,8 +12,9 @@ import optax
 from gsjax.config import parse
 from gsjax.effects import sky, transients
 from gsjax.effects.simulation import NO_EFFECTS, Effects
+from gsjax.presets import QUICK
 from gsjax.scene import Frame
-from gsjax.settings import QUICK, Settings
+from gsjax.settings import Settings, Supervision
 from gsjax.training.loop import Progress, Work, follow, kept_step
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
@@ -26,8 +27,7 @@ WORTH = 0.1  # dB that a change must gain
 SHORT = parse(  # `quick` in so many steps
     Settings,
     {
-        "phases": [{"name": "validation", "steps": STEPS, "density_control": True}],
-        "sh_every": 33,
+        "schedule": {"phases": [{"name": "validation", "steps": STEPS, "density_control": True}], "sh_every": 33},
         "rates": QUICK["rates"],
         "density": {**QUICK["density"], "start": 7, "stop": 140, "every": 20},
     },
@@ -53,15 +53,15 @@ def short_settings(settings: Settings, frames: Sequence[Frame], points: int, sid
     """
     scale = image_scale(frames, side)
     pixels = max(frame.width * frame.height for frame in frames) / scale**2
-    return replace(
-        settings,
-        phases=(replace(SHORT.phases[0], image_scale=scale),),
-        max_gaussians=min(max(round(PER_PIXEL * pixels), PER_POINT * points), settings.max_gaussians),
-        sh_every=SHORT.sh_every,
+    return settings.replace(
         rates=SHORT.rates,
         density=SHORT.density,
-        depth=None,
-        normals=None,
+        schedule={
+            "phases": (replace(SHORT.schedule.phases[0], image_scale=scale),),
+            "sh_every": SHORT.schedule.sh_every,
+        },
+        model={"max_gaussians": min(max(round(PER_PIXEL * pixels), PER_POINT * points), settings.model.max_gaussians)},
+        supervision=Supervision(),
     )
 
 

@@ -39,7 +39,7 @@ CAME_OF_IT = (
 )
 SPLITS = {"auto": "the data set's own split, else every 8th shot by name", "none": "asked for: all photos train"}
 
-REPORTED = {"hold_out": str, "effects": str, "seed": int, "normal_axes?": (None, str), "refinement?": {"seed": int}}
+REPORTED = {"photos": {"hold_out": str}, "seed": int, "refinement?": {"seed": int}}
 LARGEST = 1e30  # that a chart can have on its axes
 
 Rows = list[tuple[str, ...]]
@@ -86,7 +86,7 @@ def what_was_read(run: RunFacts) -> Rows:
 
 def what_was_decided(run: RunFacts) -> Rows:
     """What, how, and why."""
-    hold_out, factor = str(run.settings["hold_out"]), run.downscale
+    hold_out, factor = str(run.settings["photos"]["hold_out"]), run.downscale
     return [
         ("Size of the photos", f"reduced {factor:g} times" if factor > 1 else "as they are", _photos(run)),
         ("Photos for scoring", _count_held_out(run), SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
@@ -99,8 +99,12 @@ def what_was_decided(run: RunFacts) -> Rows:
 def _dropout(run: RunFacts) -> Rows:
     """A row where steps leave Gaussians out; runs of earlier versions knew of no such thing."""
     share = max((phase.get("dropout", 0.0) for phase in run.plan["phases"]), default=0.0)
-    is_asked = bool(run.settings.get("dropout", 0.0))
-    reason = f"asked for: dropout={share:g}" if is_asked else "photos stand far apart, and would be learned by heart"
+    is_asked = bool(run.settings["schedule"].get("dropout", 0.0))
+    reason = (
+        f"asked for: schedule.dropout={share:g}"
+        if is_asked
+        else "photos stand far apart, and would be learned by heart"
+    )
     return [("Left out of every step", f"{share:.0%} of the Gaussians", reason)] if share else []
 
 
@@ -240,16 +244,16 @@ def _normals(run: RunFacts) -> tuple[str, str]:
     if run.plan["normals"] is None:
         why = "no maps were given: --normals names them"
         return "of the Gaussians' own depth, smoothed", run.manifest.get("normals", why)
-    axes = run.settings.get("normal_axes")
+    axes = run.settings["supervision"].get("normal_axes")
     asked = f"axes asked for: {axes}" if axes else "axes as the maps' maker wrote them, or found by comparing"
     return run.plan["normals"], run.manifest.get("normals", asked)
 
 
 def _effects(run: RunFacts) -> tuple[str, str]:
-    if run.is_refinement and run.settings["effects"] != "none":
-        return run.settings["effects"], "taken off the photos as training found them"
+    if run.is_refinement and run.settings["effects"]["names"] != "none":
+        return run.settings["effects"]["names"], "taken off the photos as training found them"
     if "effects" not in run.manifest:
         return "none", "nobody looked: --effects auto does"
     chosen = ", ".join(run.manifest["effects"]["simulated"]) or "none"
-    asked = run.settings["effects"]
+    asked = run.settings["effects"]["names"]
     return chosen, "what the photos show, see below" if asked == "auto" else f"asked for: --effects {asked}"

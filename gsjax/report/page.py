@@ -164,7 +164,7 @@ def _render(run: RunFacts, names: set[str]) -> None:
     """Keeps the pictures of a run that was scored without keeping any."""
     result, scene = open_result(run.folder), scene_of_run(run.folder)
     frames = tuple(frame for frame in scene.held_out_frames if frame.name in names)
-    background, keep = run.settings["background"], view_pictures.picture_keeper(run.folder)
+    background, keep = run.settings["model"]["background"], view_pictures.picture_keeper(run.folder)
     found = PhotoEffects(background=read_photo_effects(run.folder).background)
     score_images(result.gaussians, frames, background, found=found, depth_mode=result.depth_mode, observe=keep)
 

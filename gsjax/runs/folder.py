@@ -26,16 +26,19 @@ import json
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from gsjax import config
+from gsjax.config import refuse_moved
 from gsjax.errors import InputError
 from gsjax.io import georeference_files, json_files
 from gsjax.io.files import atomic_folder, atomic_path, make_folder, unwritable
+from gsjax.io.json_shapes import check
 from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.temporary_files import is_temporary, sweep
@@ -44,8 +47,15 @@ from gsjax.runs.records import RECORD, SCENE, SETTINGS, STATUS
 from gsjax.runs.splits import Split, split_record
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.similarity import IDENTITY, Similarity, parse_similarity
+from gsjax.settings import Settings, group_flat
 
-EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
+EARLIER: dict[str, Any] = {
+    "photos": {},
+    "supervision": {},
+    "model": {"depth_mode": "center", "pixel_filter": "classic"},
+    "schedule": {},
+    "effects": {"names": "none"},
+}
 """What runs did before they could choose."""
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
 
@@ -79,6 +89,7 @@ def can_resume(run: str | Path) -> bool:
     """
     run = Path(run)
     if is_run(run):
+        refuse_moved(Settings, json_files.read(run / "config.json", {}), where=f"{run}: of an earlier version")
         with lock_folder(run):
             return True
     if not run.is_dir():
@@ -154,29 +165,21 @@ def _is_of_a_beginning(path: Path) -> bool:
     return path.name in OF_A_BEGINNING or is_temporary(path)
 
 
-def reopen(
-    run: str | Path,
-    settings: Mapping[str, Any],
-    *,
-    scene: str | Path,
-    completed: Callable[[dict[str, Any]], Mapping[str, Any]] = dict,
-) -> Path:
+def reopen(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path) -> Path:
     """Opens the folder of a run to continue it on the data set and with the settings it was started with.
 
     Args:
         run: The folder.
         settings: Of the resumed run, as `create` takes them.
         scene: The data set.
-        completed: What `config.json` holds -> the same with what its version did not know yet, where that defaults to
-            what was done then.
 
     Raises:
         InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.
     """
     run = Path(run)
-    started = completed(read_settings(run))
+    started = json_files.read(run / "config.json", {})
     require_scene(run, scene)
-    for key, (before, now) in _differences(started, json_files.plain({**EARLIER, **settings})).items():
+    for key, (before, now) in _differences(started, json_files.plain(settings)).items():
         raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
     return run
 
@@ -309,7 +312,10 @@ def read_settings(run: str | Path) -> dict[str, Any]:
     Raises:
         InputError: The file is absent or is no JSON.
     """
-    return {**EARLIER, **json_files.read(Path(run) / "config.json", SETTINGS)}
+    file = Path(run) / "config.json"
+    settings = config.merge(EARLIER, group_flat(json_files.read(file, {})))
+    check(file, settings, SETTINGS)
+    return settings
 
 
 def _record(line: str, where: str) -> dict[str, Any]:

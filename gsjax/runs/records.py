@@ -11,14 +11,15 @@ from gsjax.runs import splits
 
 NUMBER = (None, float)
 SETTINGS = {
-    "downscale?": NUMBER,
-    "images?": (None, str),
-    "hold_out?": str,
-    "background?": {"white", "black", "random"},
-    "masks?": {"valid", "matte"},
-    "depth_mode?": {"plane", "front", "center"},
-    "pixel_filter?": {"classic", "mip"},
-    "effects?": str,
+    "photos?": {"downscale?": NUMBER, "images?": (None, str), "hold_out?": str, "masks?": {"valid", "matte"}},
+    "supervision?": {"normal_axes?": (None, str)},
+    "model?": {
+        "background?": {"white", "black", "random"},
+        "depth_mode?": {"plane", "front", "center"},
+        "pixel_filter?": {"classic", "mip"},
+    },
+    "schedule?": {},
+    "effects?": {"names?": str},
 }
 """Of `config.json`: what later stages read; folders of earlier versions lack some."""
 _FIGURES = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "floaters",

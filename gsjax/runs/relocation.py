@@ -40,7 +40,7 @@ def relocate_scene(folder: str | Path, scene: str | Path) -> None:
 
 def relocated_images(run: Run, scene: str | Path) -> str | None:
     """The folder of photos that a run names, where its data set is in `scene` now."""
-    return _moved(run.settings.get("images"), str(run.manifest["scene"]), str(Path(scene).resolve()))
+    return _moved(run.settings["photos"].get("images"), str(run.manifest["scene"]), str(Path(scene).resolve()))
 
 
 def _moved(value: Any, before: str, now: str) -> Any:

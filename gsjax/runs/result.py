@@ -108,7 +108,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         run = Run(source)
         gaussians = run.similarity.gaussians_to_local(gaussians)
         settings, learned, records = run.settings, run.photo_effects.background, run.views
-        check(source / "config.json", settings, {"background": str, "depth_mode": str})
+        check(source / "config.json", settings, {"model": {"background": str, "depth_mode": str}})
         return Result(
             source,
             gaussians,
@@ -116,8 +116,8 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             names=tuple(record["name"] for record in records),
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
-            background=BACKGROUND_COLORS[settings["background"]] if learned is None else learned,
-            depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["depth_mode"],
+            background=BACKGROUND_COLORS[settings["model"]["background"]] if learned is None else learned,
+            depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["model"]["depth_mode"],
             similarity=run.similarity,
             place=run.place,
         )
@@ -192,7 +192,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
     """
     run = Run(folder)
     check(folder / "manifest.json", run.manifest, SCENE)
-    check(folder / "config.json", run.settings, {"masks": str})
+    check(folder / "config.json", run.settings, {"photos": {"masks": str}})
     if not 0 < zoom < math.inf:
         raise InputError(f"--zoom {zoom:g} is not a number above 0")
     downscale = run.downscale / zoom
@@ -203,7 +203,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
     loaded = load_scene(
         root,
         downscale=downscale,
-        folder_masks=run.settings["masks"],
+        folder_masks=run.settings["photos"]["masks"],
         images=relocated_images(run, root),
         hold_out=NONE,
         similarity=run.similarity,

@@ -55,7 +55,8 @@ class Run:
         file = self.folder / "plan.json"
         if file.exists():
             return json_files.read(file, PLAN)
-        return plan_record([], self.settings.get("downscale") or 1.0, self.settings.get("normals"))
+        downscale = self.settings["photos"].get("downscale") or 1.0
+        return plan_record([], downscale, self.settings["supervision"].get("normals"))
 
     @cached_property
     def views(self) -> list[dict[str, Any]]:

@@ -83,5 +83,5 @@ def no_room(error: Exception, data: Batches, capacity: int) -> Exception:
     width, height = data.size
     return InputError(
         f"the device has no room for a step at {width}x{height} with {capacity:,} pairs; "
-        "make the photos smaller (--downscale) or the Gaussians fewer (--set max_gaussians=N)"
+        "make the photos smaller (--downscale) or the Gaussians fewer (--set model.max_gaussians=N)"
     )

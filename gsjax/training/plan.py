@@ -216,36 +216,40 @@ def plan(
     """
     known = {**TERMS, **as_terms(terms)}
     phases, begin = [], 0
-    for phase in settings.phases:
+    for phase in settings.schedule.phases:
         wanted = _weighed(settings, phase, known)
-        if settings.depth is None and "measured" in needs(wanted):
+        if settings.supervision.depth is None and "measured" in needs(wanted):
             named = next(each.name for each in wanted if "measured" in needs([each]))
-            raise InputError(f"phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
+            raise InputError(f"schedule.phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
         if "sky" in needs(wanted):
             named = next(each.name for each in wanted if "sky" in needs([each]))
-            raise InputError(f"phases.{phase.name}.weights.{named}: sky_weight weighs it, where photos show sky")
-        end = begin + _fewer(phase.steps, settings.views_per_step)
+            raise InputError(
+                f"schedule.phases.{phase.name}.weights.{named}: effects.sky_weight weighs it where photos show sky"
+            )
+        end = begin + _fewer(phase.steps, settings.schedule.views_per_step)
         rule = rule_named(settings.density.rule) if phase.density_control else None
-        cull = 0.0 if settings.vanilla else phase.cull_below
-        planned = PlannedPhase(phase.name, begin, end, phase.image_scale, wanted, rule, cull, dropout=settings.dropout)
+        cull = 0.0 if settings.schedule.vanilla else phase.cull_below
+        planned = PlannedPhase(
+            phase.name, begin, end, phase.image_scale, wanted, rule, cull, dropout=settings.schedule.dropout
+        )
         if any(each.is_dear for each in wanted):
             planned = replace(planned, surface_every=phase.surface_every, surface_scale=phase.surface_scale)
         phases.append(planned)
         begin = end
-    views = settings.views_per_step
+    views = settings.schedule.views_per_step
     return Plan(
         phases=tuple(phases),
         seed=settings.seed,
-        background=settings.background,
-        depth_mode=settings.depth_mode,
+        background=settings.model.background,
+        depth_mode=settings.model.depth_mode,
         views_per_step=views,
-        max_gaussians=settings.max_gaussians,
-        sh_every=_fewer(settings.sh_every, views),
+        max_gaussians=settings.model.max_gaussians,
+        sh_every=_fewer(settings.schedule.sh_every, views),
         rates=_rates(settings.rates, views, begin),
         density=_density(settings.density, views),
         logging=_logging(settings.logging, views),
-        stereo_points=settings.stereo_points,
-        sky_weight=settings.sky_weight,
+        stereo_points=settings.model.stereo_points,
+        sky_weight=settings.effects.sky_weight,
     ).with_effects(tuple(effects))
 
 
@@ -276,12 +280,14 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
 
 def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
     """The terms of a phase; of plain 3DGS those of the image alone."""
-    everywhere = {} if settings.depth is None else weights_of_data("measured", settings.depth_weight)
+    everywhere = (
+        {} if settings.supervision.depth is None else weights_of_data("measured", settings.supervision.depth_weight)
+    )
     try:
         wanted = weigh_terms({**everywhere, **phase.weights}, terms)
     except InputError as error:
-        raise InputError(f"phases.{phase.name}.{error}") from error
-    return tuple(each for each in wanted if each.name in PLAIN) if settings.vanilla else wanted
+        raise InputError(f"schedule.phases.{phase.name}.{error}") from error
+    return tuple(each for each in wanted if each.name in PLAIN) if settings.schedule.vanilla else wanted
 
 
 def _fewer(steps: int, views: int) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 from threading import Thread
 
 from gsjax.io.scenes import load_scene
-from gsjax.settings import Settings, total_steps
+from gsjax.settings import Settings
 from gsjax.training.loop import Progress
 from gsjax.viewer.page import HOST, PORT, Page, check_port
 from gsjax.viewer.snapshots import Snapshots
@@ -59,14 +59,14 @@ def watch(
     check_port(host, port)
     loaded = load_scene(
         scene,
-        downscale=settings.downscale or 1,
-        folder_masks=settings.masks,
-        images=settings.images,
-        hold_out=settings.hold_out,
-        photos=settings.photos,
+        downscale=settings.photos.downscale or 1,
+        folder_masks=settings.photos.masks,
+        images=settings.photos.images,
+        hold_out=settings.photos.hold_out,
+        photos=settings.photos.subset,
     )
-    viewed = view_data_set(Path(scene).resolve().name, loaded, settings.background, settings.depth_mode)
-    snapshots = Snapshots(total_steps(settings))
+    viewed = view_data_set(Path(scene).resolve().name, loaded, settings.model.background, settings.model.depth_mode)
+    snapshots = Snapshots(settings.schedule.steps)
     with Page(viewed, host=host, port=port, news=snapshots.news, share=SHARE) as page:
         _tell(f"{page.address} shows the training while it goes on")
         answering = Thread(target=page.work, name="page")

@@ -61,7 +61,7 @@ def test_both_of_our_engines_draw_a_run_as_its_first_training_camera_sees_it(scr
     held_out, camera = (camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-0.5, 0.5))
     records = [{"name": "a", "held_out": True, **vars(held_out)}, {"name": "b", "held_out": False, **vars(camera)}]
     write_gaussians(tmp_path / "gaussians.ply", gaussians)
-    json_files.write(tmp_path / "config.json", {"background": "black"})
+    json_files.write(tmp_path / "config.json", {"model": {"background": "black"}})
     json_files.write(tmp_path / "cameras.json", records)
     (image, gradient), (jnp_image, jnp_gradient) = rasterizer_peers.tasks(tmp_path, peers.peer_named("jnp"))
     expected = rendering.render(gaussians, camera, capacity=4096, background=jnp.zeros(3)).colors

@@ -25,7 +25,7 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
     chamfers = iter([0.004, 0.006, 0.002] * 2)
     floor = {"floor": {"chamfer": 1e-4, "threshold": 0.03}} if with_mesh else {}
     monkeypatch.setattr(pipeline, "train", lambda *_, **__: None)
-    two = {"base": {}, "more": {"sh_degree": 3}}
+    two = {"base": {}, "more": {"model": {"sh_degree": 3}}}
     monkeypatch.setattr(compare, "load_study", lambda *_: compare.Study("base", compare.load_config("base"), two, {}))
     figures = {"psnr": 30.0, "views": 2, **floor}
     monkeypatch.setattr(pipeline, "evaluate", lambda _, **__: figures | {"chamfer": next(chamfers)})
@@ -61,11 +61,11 @@ def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
     """By the costs that are measured on a config, or else on the built-in scene."""
     sugar = {"built_in": 4.47, "bunny_plane": 5.09}.get(on, 4.47)
     variants = compare.load_study("baselines", on).variants
-    surface = {name: change["phases"][-1] for name, change in variants.items()}
+    surface = {name: change["schedule"]["phases"][-1] for name, change in variants.items()}
     assert surface["ours, mix"]["steps"] == time
     assert surface["vanilla"]["steps"] == round(mix * time)
     assert surface["SuGaR, sdf"]["steps"] == round(mix * time / sugar)
-    assert {change["depth_mode"] for change in variants.values()} == {"front"}
+    assert {change["model"]["depth_mode"] for change in variants.values()} == {"front"}
 
 
 def test_rates_fall_over_each_variants_own_steps(compare):

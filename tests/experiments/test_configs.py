@@ -6,7 +6,8 @@ import pytest
 import gsjax
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.settings import DEMO, PRESETS, Settings
+from gsjax.presets import DEMO, PRESETS
+from gsjax.settings import Settings
 
 CONFIGS = ["base", "built_in", "bunny_plane", "demo", "fox", "fox_small", "lego200", "photos_short", "smoke"]
 
@@ -38,8 +39,8 @@ def test_every_config_parses_and_differs_from_base_in_what_it_says(script, name)
 
 
 def test_the_base_is_the_fast_preset_without_what_photos_may_call_for(script):
-    plain = {"effects": "none", "sparse_views": False}
-    assert script.load_settings("base") == config.parse(Settings, PRESETS["fast"] | plain)
+    plain = {"effects": {"names": "none"}, "schedule": {"sparse_views": False}}
+    assert script.load_settings("base") == config.parse(Settings, config.merge(PRESETS["fast"], plain))
 
 
 def test_the_demo_is_what_the_command_trains(script):
@@ -47,16 +48,17 @@ def test_the_demo_is_what_the_command_trains(script):
 
 
 def test_assignments_come_last(script):
-    assert script.load_settings("smoke", ["phases.0.steps=3", "seed=9"]).phases[0].steps == 3
+    assert script.load_settings("smoke", ["schedule.phases.0.steps=3", "seed=9"]).schedule.phases[0].steps == 3
 
 
 def test_unknown_names_are_answered_with_the_nearest(script):
     with pytest.raises(InputError, match="no config 'foxx'; the nearest is 'fox'"):
         script.load_settings("foxx")
     with pytest.raises(
-        InputError, match="--set: unknown key 'phases.0.step'; the nearest known one is 'phases.0.steps'"
+        InputError,
+        match="--set: unknown key 'schedule.phases.0.step'; the nearest known one is 'schedule.phases.0.steps'",
     ):
-        script.load_settings("fox", ["phases.0.step=3"])
+        script.load_settings("fox", ["schedule.phases.0.step=3"])
 
 
 def test_a_run_trains_meshes_and_writes_its_figures(script, calls, tmp_path):

@@ -3,7 +3,7 @@
 import pytest
 from paper_constants import CONSTANTS, preset
 
-from gsjax.settings import PRESETS
+from gsjax.presets import PRESETS
 
 
 @pytest.mark.parametrize("constant", CONSTANTS, ids=lambda constant: constant.name)

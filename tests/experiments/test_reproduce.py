@@ -26,12 +26,12 @@ from gsjax.training.plan import plan
 
 PATIENCE = 900  # seconds, on a machine with much else to do
 SETTINGS = (
-    "background=white",
-    "max_gaussians=3000",
-    "sh_degree=1",
-    "phases.vanilla.steps=80",
-    "phases.entropy.steps=10",
-    "phases.surface.steps=10",
+    "model.background=white",
+    "model.max_gaussians=3000",
+    "model.sh_degree=1",
+    "schedule.phases.vanilla.steps=80",
+    "schedule.phases.entropy.steps=10",
+    "schedule.phases.surface.steps=10",
     "rates.opacities=0.2",  # so that they are a surface after so few steps
     "density.start=20",
     "density.every=20",
@@ -86,13 +86,17 @@ def test_lambda_r_and_other_settings_may_be_a_scenes_own(scripts, monkeypatch):
     monkeypatch.setitem(scenes.SCENES, "garden", scenes.SCENES["garden"]._replace(lambda_r=0.4))
 
     def weight(scene, *assignments):
-        return scenes.settings_of(scene, "paper_13k_7k", 0, assignments).phases[-1].weights["sdf_normal"]
+        return scenes.settings_of(scene, "paper_13k_7k", 0, assignments).schedule.phases[-1].weights["sdf_normal"]
 
     assert (weight("room"), weight("garden")) == (0.2, 0.4)
-    groups = [["garden", "phases.surface.weights.sdf_normal=0.3"], ["room", "sh_degree=2"], ["garden", "seed=4"]]
+    groups = [
+        ["garden", "schedule.phases.surface.weights.sdf_normal=0.3"],
+        ["room", "model.sh_degree=2"],
+        ["garden", "seed=4"],
+    ]
     options = reproduce.Options(["seed=1"], of_scenes=reproduce.by_scene(groups))
-    assert options.of("garden") == ["seed=1", "phases.surface.weights.sdf_normal=0.3", "seed=4"]
-    assert (options.of("room"), options.of("truck")) == (["seed=1", "sh_degree=2"], ["seed=1"])
+    assert options.of("garden") == ["seed=1", "schedule.phases.surface.weights.sdf_normal=0.3", "seed=4"]
+    assert (options.of("room"), options.of("truck")) == (["seed=1", "model.sh_degree=2"], ["seed=1"])
     assert weight("garden", *options.of("garden")) == 0.3
     with pytest.raises(InputError, match="--set-scene gardn: none of room, counter"):
         reproduce.by_scene([["gardn", "seed=1"]])
@@ -210,8 +214,8 @@ def test_a_stopped_run_goes_on_and_keeps_the_scores_that_it_has(study):
 
 def test_other_settings_in_the_same_folder_are_an_error_before_any_run(study):
     study.run()
-    with pytest.raises(InputError, match=r"was begun with another settings\.sh_degree"):
-        study.run("sh_degree=1", seeds=2)
+    with pytest.raises(InputError, match=r"was begun with another settings\.model"):
+        study.run("model.sh_degree=1", seeds=2)
     with pytest.raises(InputError, match="max_gausians"):
         study.run("max_gausians=3")
     assert study.started == []
@@ -226,12 +230,14 @@ def test_the_process_of_a_run_is_told_all_and_its_end_is_seen(scripts, monkeypat
     assert (
         reproduce.in_own_process(
             job,
-            reproduce.Options(["sh_degree=2"], ["steps=3"], ["vgg.onnx"], {"room": ["sh_every=5"], "truck": ["c=3"]}),
+            reproduce.Options(
+                ["model.sh_degree=2"], ["steps=3"], ["vgg.onnx"], {"room": ["schedule.sh_every=5"], "truck": ["c=3"]}
+            ),
         )
         == 5
     )
     told = ["room", str(tmp_path), str(job.out), "--schedule", "paper_13k_7k", "--seed", "3"]
-    told += ["--set", "sh_degree=2", "sh_every=5", "--refine", "steps=3", "--lpips", "vgg.onnx"]
+    told += ["--set", "model.sh_degree=2", "schedule.sh_every=5", "--refine", "steps=3", "--lpips", "vgg.onnx"]
     assert json.loads((tmp_path / "out.json").read_text()) == told
 
 
@@ -270,7 +276,7 @@ def test_a_run_that_begins_in_another_keeps_its_gaussians(scripts, monkeypatch, 
     monkeypatch.setattr("gsjax.runs.result.open_result", lambda run: SimpleNamespace(gaussians="those at its end"))
     monkeypatch.setattr("gsjax.io.ply.write_gaussians", lambda file, gaussians: file.write_text(gaussians))
     place(tmp_path, "out", "run")
-    (tmp_path / "out/run/config.json").write_text('{"normals": null}')
+    (tmp_path / "out/run/config.json").write_text('{"supervision": {"normals": null}}')
     (tmp_path / "out/run/manifest.json").touch()
     settings_of = scripts("paper.scenes").settings_of
     earlier.mkdir(parents=True)
@@ -297,7 +303,7 @@ def test_a_run_begins_in_the_one_that_saves_it_most_steps(scripts, tmp_path):
         return run
 
     late = trained("late", "paper_6k_15k", (14_500, 15_000))
-    early = trained("early", "3dgs_30k", (6_500, 7_000), "phases.vanilla.steps=7000")
+    early = trained("early", "3dgs_30k", (6_500, 7_000), "schedule.phases.vanilla.steps=7000")
     others = [
         trained("other_rates", "paper_6k_15k", (15_000,), "rates.means=1e-3"),
         trained("too_late", "sugar", (14_500, 15_000)),

@@ -7,7 +7,7 @@ import pytest
 
 from gsjax.config import to_dict
 from gsjax.errors import InputError
-from gsjax.settings import Settings, total_steps
+from gsjax.settings import Settings
 
 
 @pytest.fixture
@@ -26,12 +26,12 @@ def test_every_value_of_the_training_is_another_setting(table, whole):
         settings = [place.settings(difference, 3) for difference in differences.values()]
         assert all(isinstance(each, Settings) and each.seed == 3 for each in settings)
         assert len(set(settings)) == len(settings), name
-        steps = 0.1 * sum(phase["steps"] for phase in whole["phases"])
-        assert min(abs(total_steps(each) - steps) for each in settings) < 3, name
+        steps = 0.1 * sum(phase["steps"] for phase in whole["schedule"]["phases"])
+        assert min(abs(each.schedule.steps - steps) for each in settings) < 3, name
 
 
 def test_r_in_fewer_steps_is_as_much_stronger_and_what_costs_no_time_stays(table, whole):
-    surfaces = [difference["phases"][-1] for difference in table.of_training(whole)["R"].values()]
+    surfaces = [difference["schedule"]["phases"][-1] for difference in table.of_training(whole)["R"].values()]
     assert [phase["surface_every"] for phase in surfaces] == [1, 2, 4]
     assert [phase["weights"]["pixel_normal"] for phase in surfaces] == pytest.approx([0.0625, 0.125, 0.25])
     assert {phase["weights"]["thickness"] for phase in surfaces} == {0.02}

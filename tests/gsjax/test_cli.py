@@ -1,12 +1,12 @@
 import json
 import sys
-from dataclasses import replace
 
 import pytest
 
 import gsjax
 from gsjax import cli, config, runs
-from gsjax.settings import LENGTHS, PRESETS, Phase, Settings
+from gsjax.presets import LENGTHS, PRESETS, preset
+from gsjax.settings import Phase, Schedule, Settings
 
 pytestmark = pytest.mark.usefixtures("own_environment")
 
@@ -93,11 +93,17 @@ def test_settings_come_from_the_preset_the_options_and_set(library):
     assert keywords == {"resume": False}
     options = ["--preset", "balanced", "--seed", "3", "--downscale", "2", "--background", "white", "--vanilla"]
     settings, _ = train_settings(library, "--out", "r", *options, "--normals", "maps", "--masks", "matte")
-    given = {"seed": 3, "downscale": 2, "background": "white", "vanilla": True, "normals": "maps", "masks": "matte"}
-    assert settings == config.parse(Settings, PRESETS["balanced"] | given)
-    options = ["--seed", "3", "--set", "seed=4", "phases.1.steps=9", "--set", "rates.quats=1"]
+    given = {
+        "seed": 3,
+        "photos": {"downscale": 2, "masks": "matte"},
+        "model": {"background": "white"},
+        "schedule": {"vanilla": True},
+        "supervision": {"normals": "maps"},
+    }
+    assert settings == preset("balanced", given)
+    options = ["--seed", "3", "--set", "seed=4", "schedule.phases.1.steps=9", "--set", "rates.quats=1"]
     settings, _ = train_settings(library, "--out", "r", *options)
-    assert (settings.seed, settings.phases[1].steps, settings.rates.quats) == (4, 9, 1.0)
+    assert (settings.seed, settings.schedule.phases[1].steps, settings.rates.quats) == (4, 9, 1.0)
 
 
 def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library, tmp_path, monkeypatch, capsys):
@@ -105,17 +111,17 @@ def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library
 
     def budgeted(scene, candidates, seconds, lasting):
         asked.append((scene, list(candidates), seconds, lasting))
-        settings = replace(next(iter(candidates.values())), sh_every=77)
+        settings = next(iter(candidates.values())).replace(schedule={"sh_every": 77})
         return settings, "fast, 0.5 times its steps"
 
     for name, value in {"budgeted": budgeted, "scaled": "steps", "resized": "steps and Gaussians"}.items():
         monkeypatch.setattr(sys.modules["gsjax.pipeline"], name, value, raising=False)
     run = str(tmp_path / "run")
     settings, _ = train_settings(library, "--out", run, "--budget", "10m", "--seed", "3")
-    assert (settings.sh_every, settings.seed) == (77, 3)
+    assert (settings.schedule.sh_every, settings.seed) == (77, 3)
     assert capsys.readouterr().err.splitlines() == ["budget of 10m: fast, 0.5 times its steps"]
     train_settings(library, "--out", run, "--budget", "1h", "--preset", "balanced")
-    train_settings(library, "--out", run, "--budget", "1h", "--set", "sh_degree=2", "max_gaussians=50")
+    train_settings(library, "--out", run, "--budget", "1h", "--set", "model.sh_degree=2", "model.max_gaussians=50")
     assert asked == [
         ("scene", list(LENGTHS), 600, "steps and Gaussians"),
         ("scene", ["balanced"], 3600, "steps and Gaussians"),
@@ -136,23 +142,19 @@ def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library
 def test_the_photos_and_their_split_are_chosen_on_the_command_line(library, tmp_path, monkeypatch):
     for hold_out in ("none", "5"):
         settings, _ = train_settings(library, "--out", "r", "--images", "images_4", "--hold-out", hold_out)
-        assert (settings.images, settings.hold_out) == ("images_4", hold_out)
+        assert (settings.photos.images, settings.photos.hold_out) == ("images_4", hold_out)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "list.txt").write_text("a.png")
     settings, _ = train_settings(library, "--out", "r", "--hold-out", "list.txt")
-    assert settings.hold_out == str(tmp_path / "list.txt"), "read again from wherever the run is scored"
+    assert settings.photos.hold_out == str(tmp_path / "list.txt"), "read again from wherever the run is scored"
 
 
 def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_path):
-    started = Settings(seed=5, phases=(Phase("vanilla", 7),))
+    started = Settings(seed=5, schedule=Schedule(phases=(Phase("vanilla", 7),)))
     (tmp_path / "config.json").write_text(json.dumps(config.to_dict(started)))
     settings, keywords = train_settings(library, "--out", str(tmp_path), "--resume")
     assert settings == started
     assert keywords == {"resume": True}
-    earlier = {key: value for key, value in config.to_dict(started).items() if key != "depth_mode"}
-    (tmp_path / "config.json").write_text(json.dumps(earlier))
-    settings, _ = train_settings(library, "--out", str(tmp_path), "--resume")
-    assert settings == replace(started, depth_mode="center"), "there was no other depth"
     settings, _ = train_settings(library, "--out", str(tmp_path / "new"), "--resume")
     assert settings == config.parse(Settings, PRESETS["fast"])
 
@@ -248,8 +250,8 @@ def test_eval_writes_json_and_prints_a_table_and_what_is_not_scored(library, tmp
 
 def test_normals_are_a_folder_a_name_or_whatever_the_scene_holds(library):
     for given, meant in ((["maps"], "maps"), (["moge2"], "moge2"), ([], "auto")):
-        assert train_settings(library, "--out", "r", "--normals", *given)[0].normals == meant
-    assert train_settings(library, "--out", "r")[0].normals is None
+        assert train_settings(library, "--out", "r", "--normals", *given)[0].supervision.normals == meant
+    assert train_settings(library, "--out", "r")[0].supervision.normals is None
 
 
 def test_sfm_names_the_photos_that_are_left_out_by_their_reasons(library, capsys):

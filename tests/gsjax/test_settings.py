@@ -12,17 +12,20 @@ from gsjax.binding.refinement import PRESETS as REFINEMENTS
 from gsjax.binding.refinement import Refinement, RefinementWeights
 from gsjax.config import as_record, merge, parse, to_dict
 from gsjax.errors import InputError
+from gsjax.presets import LENGTHS, PRESETS, preset
 from gsjax.settings import (
-    LENGTHS,
-    PRESETS,
     Density,
+    EffectChoice,
     Logging,
+    Model,
     Phase,
+    Photos,
     Rates,
+    Schedule,
     Settings,
+    Supervision,
     Weights,
     named_effects,
-    total_steps,
 )
 
 
@@ -30,35 +33,35 @@ from gsjax.settings import (
 def test_every_preset_is_a_valid_difference_that_survives_a_round_trip(name):
     settings = parse(Settings, PRESETS[name])
     assert parse(Settings, to_dict(settings)) == settings
-    r = {"sdf_normal", "pixel_normal"} & settings.phases[-1].weights.keys()
+    r = {"sdf_normal", "pixel_normal"} & settings.schedule.phases[-1].weights.keys()
     assert bool(r) == (name != "quick")  # which has no time for a surface
 
 
 def test_each_of_the_lengths_is_longer_than_the_one_before_and_none_than_the_papers():
     lengths = [parse(Settings, PRESETS[name]) for name in LENGTHS]
-    assert total_steps(lengths[-1]) == 15_000
+    assert lengths[-1].schedule.steps == 15_000
     for shorter, longer in itertools.pairwise(lengths):
-        assert total_steps(shorter) < total_steps(longer)
-        assert shorter.max_gaussians < longer.max_gaussians
+        assert shorter.schedule.steps < longer.schedule.steps
+        assert shorter.model.max_gaussians < longer.model.max_gaussians
 
 
 def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
-    looking = {name for name in PRESETS if parse(Settings, PRESETS[name]).effects == "auto"}
+    looking = {name for name in PRESETS if parse(Settings, PRESETS[name]).effects.names == "auto"}
     assert looking == set(LENGTHS)
-    assert {parse(Settings, PRESETS[name]).effects for name in PRESETS.keys() - looking} == {"none"}
+    assert {parse(Settings, PRESETS[name]).effects.names for name in PRESETS.keys() - looking} == {"none"}
 
 
 @pytest.mark.parametrize(
     ("difference", "message"),
     [
-        ({"sh_degree": 5}, "sh_degree=5"),
-        ({"sh_every": 0}, "sh_every=0 is below 1"),
-        ({"dropout": 1.0}, "dropout=1.0 is not at least 0 and below 1"),
-        ({"downscale": 0}, "downscale=0.0 is not a number of at least 1"),
-        ({"max_gaussians": 0}, "max_gaussians=0 is below 1"),
-        ({"max_gaussians": 10**12}, "max_gaussians=1000000000000 is above 2147483647"),
-        ({"phases": [{"name": "a", "steps": 10**10}]}, "steps=10000000000 is above 2147483647"),
-        ({"phases": []}, "there are no phases"),
+        ({"model": {"sh_degree": 5}}, "model: sh_degree=5"),
+        ({"schedule": {"sh_every": 0}}, "sh_every=0 is below 1"),
+        ({"schedule": {"dropout": 1.0}}, "dropout=1.0 is not at least 0 and below 1"),
+        ({"photos": {"downscale": 0}}, "downscale=0.0 is not a number of at least 1"),
+        ({"model": {"max_gaussians": 0}}, "max_gaussians=0 is below 1"),
+        ({"model": {"max_gaussians": 10**12}}, "max_gaussians=1000000000000 is above 2147483647"),
+        ({"schedule": {"phases": [{"name": "a", "steps": 10**10}]}}, "steps=10000000000 is above 2147483647"),
+        ({"schedule": {"phases": []}}, "there are no phases"),
         ({"seed": -1}, "seed=-1 is not between 0 and 4294967295"),
         ({"seed": 2**32}, "seed=4294967296 is not between 0 and 4294967295"),
         ({"rates": {"scales": float("inf")}}, "rates.scales is inf, expected a finite number"),
@@ -66,11 +69,14 @@ def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
         ({"rates": {"decay_steps": 0}}, "rates: decay_steps=0 is below 1"),
         ({"density": {"gradient": -1}}, "density: gradient=-1.0 is below 0"),
         ({"density": {"min_opacity": 2}}, "density: min_opacity=2.0 is not between 0 and 1"),
-        ({"phases": [{"name": "a", "steps": 1, "cull_below": 2}]}, "cull_below=2.0 is not between 0 and 1"),
-        ({"phases": [{"name": "a", "steps": -1}]}, r"phases.0: steps=-1 is below 0"),
-        ({"phases": [{"name": "a", "steps": 1, "image_scale": 0}]}, "image_scale=0 is below 1"),
         (
-            {"phases": [{"name": "a", "steps": 1, "weights": {"l1": float("inf")}}]},
+            {"schedule": {"phases": [{"name": "a", "steps": 1, "cull_below": 2}]}},
+            "cull_below=2.0 is not between 0 and 1",
+        ),
+        ({"schedule": {"phases": [{"name": "a", "steps": -1}]}}, r"phases.0: steps=-1 is below 0"),
+        ({"schedule": {"phases": [{"name": "a", "steps": 1, "image_scale": 0}]}}, "image_scale=0 is below 1"),
+        (
+            {"schedule": {"phases": [{"name": "a", "steps": 1, "weights": {"l1": float("inf")}}]}},
             "weights.l1 is inf, expected a finite number",
         ),
         ({"rates": {"means": 0.0}}, r"rates: means_final=1.6e-06 is not between 0 and means=0.0"),
@@ -81,7 +87,7 @@ def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
         ({"density": {"reset_opacity": 0.01}}, "unknown key 'density.reset_opacity'"),
         ({"logging": {"metrics_every": 0}}, "logging: metrics_every=0 is below 1"),
         ({"logging": {"checkpoint_every": 0}}, "checkpoint_every=0 is below 1"),
-        ({"background": "blue"}, "background is 'blue', expected one of \"white\""),
+        ({"model": {"background": "blue"}}, "model.background is 'blue', expected one of \"white\""),
         ({"density": {"everry": 3}}, "unknown key 'density.everry'; the nearest known one is 'density.every'"),
     ],
 )
@@ -103,13 +109,13 @@ def test_settings_are_hashable_and_frozen():
 )
 def test_effects_are_named_in_any_order(given, names):
     assert named_effects(given) == names
-    assert Settings(effects=given).effects == given
+    assert EffectChoice(given).names == given
 
 
 @pytest.mark.parametrize("given", ["fog", "exposure,", "Auto", "none,exposure"])
 def test_unknown_effects_are_refused(given):
     with pytest.raises(ValueError, match="is none of auto, none, exposure, vignetting"):
-        Settings(effects=given)
+        EffectChoice(given)
 
 
 def test_rates_that_no_file_told_are_held_to_the_same():
@@ -135,58 +141,61 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
     """Numbers of numpy and jax, paths, lists and tables; and all of it is hashable, equal and can be written."""
     given = Settings(
         seed=np.int64(3),
-        downscale=np.float32(2),
-        normals=Path("maps"),
-        depth=Path("depth"),
-        points=Path("points.ply"),
-        vanilla=np.bool_(False),
-        max_gaussians=jnp.int32(900),
-        sh_degree=np.array(2),
-        sky_weight=1,
-        phases=[
-            {"name": "a", "steps": np.int64(3), "weights": {"l1": np.float32(0.5), "mine": 1}},
-            Phase("b", np.uint8(4), image_scale=np.int32(2)),
-        ],
+        photos={"downscale": np.float32(2)},
+        supervision=Supervision(normals=Path("maps"), depth=Path("depth")),
+        model={"points": Path("points.ply"), "max_gaussians": jnp.int32(900), "sh_degree": np.array(2)},
+        effects=EffectChoice(sky_weight=1),
+        schedule={
+            "vanilla": np.bool_(False),
+            "phases": [
+                {"name": "a", "steps": np.int64(3), "weights": {"l1": np.float32(0.5), "mine": 1}},
+                Phase("b", np.uint8(4), image_scale=np.int32(2)),
+            ],
+        },
         rates={"means": np.float64(1e-3), "decay_steps": np.int64(9)},
         density={"rule": "error", "start": np.int16(7)},
         logging={"metrics_every": np.int64(5)},
     )
     plain = Settings(
         seed=3,
-        downscale=2.0,
-        normals="maps",
-        depth="depth",
-        points="points.ply",
-        max_gaussians=900,
-        sh_degree=2,
-        sky_weight=1.0,
-        phases=(Phase("a", 3, Weights(l1=0.5, mine=1.0)), Phase("b", 4, image_scale=2)),
+        photos=Photos(downscale=2.0),
+        supervision=Supervision(normals="maps", depth="depth"),
+        model=Model(points="points.ply", max_gaussians=900, sh_degree=2),
+        effects=EffectChoice(sky_weight=1.0),
+        schedule=Schedule((Phase("a", 3, Weights(l1=0.5, mine=1.0)), Phase("b", 4, image_scale=2))),
         rates=Rates(means=1e-3, decay_steps=9),
         density=Density(rule="error", start=7),
         logging=Logging(metrics_every=5),
     )
     assert given == plain and hash(given) == hash(plain)
     assert json.loads(json.dumps(to_dict(given))) == to_dict(plain)
-    assert type(given.seed) is int and type(given.downscale) is float and type(given.phases[0].weights["mine"]) is float
+    assert (
+        type(given.seed) is int
+        and type(given.photos.downscale) is float
+        and type(given.schedule.phases[0].weights["mine"]) is float
+    )
 
 
 @pytest.mark.parametrize(
     ("make", "line"),
     [
-        (lambda: Settings(phases="quick"), "Settings: phases is 'quick', expected a list of a table of keys"),
-        (lambda: Settings(phases=Phase("a", 3)), r"Settings: phases is Phase\(.*, expected a list of a table of keys"),
-        (lambda: Settings(phases=[{"name": "a"}]), "Settings: key 'phases.0.steps' is missing"),
+        (lambda: Schedule("quick"), "Schedule: phases is 'quick', expected a list of a table of keys"),
+        (lambda: Schedule(Phase("a", 3)), r"Schedule: phases is Phase\(.*, expected a list of a table of keys"),
+        (lambda: Schedule([{"name": "a"}]), "Schedule: key 'phases.0.steps' is missing"),
         (
-            lambda: Settings(phases=[{"name": "a", "steps": 3, "wieghts": {}}]),
+            lambda: Schedule([{"name": "a", "steps": 3, "wieghts": {}}]),
             "unknown key 'phases.0.wieghts'.*weights'",
         ),
         (lambda: Settings(seed="3"), "Settings: seed is '3', expected int"),
         (lambda: Settings(seed=True), "Settings: seed is True, expected int"),
         (lambda: Settings(seed=np.array([1, 2])), r"Settings: seed is array\(\[1, 2\]\), expected int"),
-        (lambda: Settings(background="blue"), "Settings: background is 'blue', expected one of \"white\""),
+        (
+            lambda: Settings(model={"background": "blue"}),
+            "Settings: model.background is 'blue', expected one of \"white\"",
+        ),
         (lambda: Settings(density="error"), "Settings: density is 'error', expected a table of keys"),
         (lambda: Settings(rates={"meens": 1e-3}), "Settings: unknown key 'rates.meens'; the nearest known one is"),
-        (lambda: Settings(effects=["exposure"]), r"Settings: effects is \['exposure'\], expected str"),
+        (lambda: EffectChoice(["exposure"]), r"EffectChoice: names is \['exposure'\], expected str"),
         (lambda: Phase("a", 3.5), "Phase: steps is 3.5, expected int"),
         (lambda: Phase("a", 3, {"l1": "much"}), "Phase: weights.l1 is 'much', expected float"),
         (lambda: Phase("a", 3, weights=0.5), "Phase: weights is 0.5, expected a table of keys"),
@@ -201,8 +210,8 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
         (lambda: RefinementWeights(l1=float("inf")), "weights: l1 is inf, expected a finite number"),
         (lambda: as_record(Settings, "quick"), "Settings: the whole is 'quick', expected a table of keys"),
         (
-            lambda: jax.jit(lambda degree: Settings(sh_degree=degree))(3),
-            "Settings: sh_degree is .*, expected int",
+            lambda: jax.jit(lambda degree: Model(sh_degree=degree))(3),
+            "Model: sh_degree is .*, expected int",
         ),
     ],
 )
@@ -210,3 +219,23 @@ def test_a_setting_of_another_type_is_one_line_that_names_it(make, line):
     with pytest.raises(InputError, match=line) as refused:
         make()
     assert str(refused.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("flat", "now"),
+    [
+        ({"max_gaussians": 3}, "max_gaussians is model.max_gaussians now"),
+        ({"photos": "list.txt"}, "photos is photos.subset now"),
+        ({"effects": "auto"}, "effects is effects.names now"),
+        ({"phases": {"surface": {"steps": 3}}}, "phases is schedule.phases now"),
+    ],
+)
+def test_keys_without_a_group_are_refused_with_the_key_of_today(flat, now):
+    for make in (lambda: Settings(**flat), lambda: preset("fast", flat), lambda: as_record(Settings, flat)):
+        with pytest.raises(InputError, match=f": {now}$"):
+            make()
+
+
+def test_a_table_changes_the_fields_of_a_group_that_it_names():
+    settings = preset("fast").replace(model={"max_gaussians": 9}, seed=3)
+    assert settings == preset("fast", {"model": {"max_gaussians": 9}, "seed": 3})

@@ -25,7 +25,7 @@ def trained(monkeypatch, run):
     calls, broken = [], set()
 
     def train(scene, out, settings, *, resume):
-        calls.append((out.name, Path(settings.photos).read_text().split(), resume))
+        calls.append((out.name, Path(settings.photos.subset).read_text().split(), resume))
         if out.name in broken:
             out.mkdir()
             raise KeyboardInterrupt
@@ -76,7 +76,7 @@ def test_what_cannot_be_divided_is_refused_and_leaves_nothing(trained, scene, tm
             blocks.blocks(scene, out, WISHES, count)
         assert not out.exists()
     with pytest.raises(InputError, match="--effects poses: what blocks find"):
-        blocks.blocks(scene, out, config.parse(Settings, {**SETTINGS, "effects": "poses"}), 2)
+        blocks.blocks(scene, out, config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "poses"}})), 2)
     blocks.blocks(scene, out, WISHES, 2, only=[1])
     with pytest.raises(InputError, match="was begun with another blocks"):
         blocks.blocks(scene, out, WISHES, 3)

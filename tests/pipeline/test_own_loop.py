@@ -54,14 +54,13 @@ def trained(loaded):
 
 def test_it_trains_as_well_as_the_pipeline_at_equal_steps(loaded, scene, trained, tmp_path):
     settings = {
-        "background": "white",
-        "depth_mode": "front",
-        "hold_out": "auto",
-        "max_gaussians": BUDGET,
-        "sh_degree": 1,
-        "sh_every": STEPS // 7,
-        "normals": str(scene / "normals"),
-        "phases": [{"name": "only", "steps": STEPS, "weights": WEIGHTS, "density_control": True}],
+        "model": {"background": "white", "depth_mode": "front", "max_gaussians": BUDGET, "sh_degree": 1},
+        "photos": {"hold_out": "auto"},
+        "schedule": {
+            "sh_every": STEPS // 7,
+            "phases": [{"name": "only", "steps": STEPS, "weights": WEIGHTS, "density_control": True}],
+        },
+        "supervision": {"normals": str(scene / "normals")},
         "density": {"rule": "error", "start": 0, "stop": STEPS // 2, "every": EVERY, "full_by": 0.6, "reset_every": 0},
     }
     summary = gsjax.train(scene, tmp_path / "run", config.parse(Settings, settings))

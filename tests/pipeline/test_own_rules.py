@@ -11,11 +11,13 @@ def test_a_registered_rule_trains_and_is_resumed_to_the_same_bits(scene, tmp_pat
     monkeypatch.setitem(RULES, "mine", RULES["error"])
     settings = config.parse(
         Settings,
-        {
-            **SETTINGS,
-            "phases": [{"name": "coarse", "steps": 12, "image_scale": 2, "density_control": True}],
-            "density": {**SETTINGS["density"], "rule": "mine"},
-        },
+        config.merge(
+            SETTINGS,
+            {
+                "schedule": {"phases": [{"name": "coarse", "steps": 12, "image_scale": 2, "density_control": True}]},
+                "density": {**SETTINGS["density"], "rule": "mine"},
+            },
+        ),
     )
     pipeline.train(scene, tmp_path / "whole", settings)
     train_until_killed(9, scene, tmp_path / "stopped", settings)

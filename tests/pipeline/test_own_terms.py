@@ -17,14 +17,18 @@ from gsjax.training.terms import Term
 
 ENDED = config.parse(
     Settings,
-    {
-        **SETTINGS,
-        "phases": [
-            {"name": "plain", "steps": 3, "image_scale": 2},
-            {"name": "round", "steps": 5, "image_scale": 2, "weights": {"needles": 5.0, "near": 0.1}},
-        ],
-        "logging": {"metrics_every": 5, "evaluate_every": 0, "checkpoint_every": 4},
-    },
+    config.merge(
+        SETTINGS,
+        {
+            "schedule": {
+                "phases": [
+                    {"name": "plain", "steps": 3, "image_scale": 2},
+                    {"name": "round", "steps": 5, "image_scale": 2, "weights": {"needles": 5.0, "near": 0.1}},
+                ]
+            },
+            "logging": {"metrics_every": 5, "evaluate_every": 0, "checkpoint_every": 4},
+        },
+    ),
 )
 
 
@@ -123,7 +127,10 @@ def test_a_term_of_a_later_phase_is_tried_before_any_photo_is_read(scene, tmp_pa
 
 def test_steps_of_several_views_are_all_of_the_run(scene, tmp_path):
     settings = config.parse(
-        Settings, {**SETTINGS, "phases": [{"name": "plain", "steps": 8, "image_scale": 2}], "views_per_step": 4}
+        Settings,
+        config.merge(
+            SETTINGS, {"schedule": {"phases": [{"name": "plain", "steps": 8, "image_scale": 2}], "views_per_step": 4}}
+        ),
     )
     pipeline.train(scene, tmp_path / "run", settings)
     assert json_files.read(tmp_path / "run/plan.json")["steps"] == 2

@@ -16,10 +16,9 @@ from gsjax.runs.run import Run
 from gsjax.settings import Settings
 
 ASKED = {
-    "max_gaussians": 300,
-    "sh_degree": 0,
-    "hold_out": "3",
-    "phases": [{"name": "all", "steps": 6}],
+    "model": {"max_gaussians": 300, "sh_degree": 0},
+    "photos": {"hold_out": "3"},
+    "schedule": {"phases": [{"name": "all", "steps": 6}]},
     "logging": {"metrics_every": 3, "evaluate_every": 6, "checkpoint_every": 3},
 }
 SETTINGS = config.parse(Settings, ASKED)
@@ -73,7 +72,7 @@ def test_a_photo_deleted_before_a_resume_does_not_shift_the_split(listed, tmp_pa
 
 
 def test_with_exposure_of_each_photo_a_trained_photo_must_be_there_and_a_held_out_one_need_not(listed, tmp_path):
-    settings, run = config.parse(Settings, ASKED | {"effects": "exposure"}), tmp_path / "run"
+    settings, run = config.parse(Settings, config.merge(ASKED, {"effects": {"names": "exposure"}})), tmp_path / "run"
     train_until_killed(4, listed, run, settings)
     backup = shutil.copytree(listed, tmp_path / "whole")
     delete(listed, NAMES[2])
@@ -107,7 +106,7 @@ def test_eval_keeps_the_split_of_the_manifest_and_names_what_is_gone(listed, tmp
 def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp_path, capfd):
     run, place = tmp_path / "run", tmp_path / "elsewhere/set"
     (listed / "mine.txt").write_text(f"{NAMES[2]}\n")
-    asked = ASKED | {"hold_out": str(listed / "mine.txt"), "images": str(listed / "images")}
+    asked = config.merge(ASKED, {"photos": {"hold_out": str(listed / "mine.txt"), "images": str(listed / "images")}})
     train_until_killed(4, listed, run, config.parse(Settings, asked))
     place.parent.mkdir()
     shutil.move(listed, place)
@@ -116,7 +115,7 @@ def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp
     assert cli.main(["train", "--out", str(run), "--resume", "--scene", str(place)]) == 0
     assert Run.open(run).manifest["scene"] == str(place)
     assert held_out(run) == [NAMES[2]]
-    assert json_files.read(run / "config.json")["hold_out"] == str(place / "mine.txt")
+    assert json_files.read(run / "config.json")["photos"]["hold_out"] == str(place / "mine.txt")
 
     again = tmp_path / "again"
     shutil.move(place, again)

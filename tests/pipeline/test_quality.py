@@ -19,7 +19,8 @@ from small_scenes import built_in
 
 from gsjax import config, pipeline
 from gsjax.meshing.methods import METHODS
-from gsjax.settings import DEMO, Settings
+from gsjax.presets import DEMO
+from gsjax.settings import Settings
 
 STEPS, POINTS = 250, 8_000
 WEIGHTS = {"none": {}, "sdf_normal": {"sdf_normal": 0.2}, "pixel_normal": {"pixel_normal": 0.6}}
@@ -32,22 +33,22 @@ def scene(tmp_path_factory) -> Path:
 
 def trained(scene: Path, weights: dict[str, float], seed: int = 0) -> Path:
     """The folder of a short run, R acting while Gaussians multiply, as in the demo."""
-    settings = {
-        **DEMO,
+    differences = {
         "seed": seed,
-        "max_gaussians": 2_000,
-        "sh_degree": 1,
-        "sh_every": STEPS // 4,
-        "normals": str(scene / "normals"),
-        "phases": [
-            {"name": "vanilla", "steps": STEPS // 5, "density_control": True},
-            {"name": "surface", "steps": STEPS - STEPS // 5, "weights": weights, "density_control": True},
-        ],
-        "density": {**DEMO["density"], "start": 12, "stop": 150, "every": 12},
+        "supervision": {"normals": str(scene / "normals")},
+        "model": {"max_gaussians": 2_000, "sh_degree": 1},
+        "schedule": {
+            "sh_every": STEPS // 4,
+            "phases": [
+                {"name": "vanilla", "steps": STEPS // 5, "density_control": True},
+                {"name": "surface", "steps": STEPS - STEPS // 5, "weights": weights, "density_control": True},
+            ],
+        },
+        "density": {"start": 12, "stop": 150, "every": 12},
         "logging": {"metrics_every": STEPS, "evaluate_every": 0, "checkpoint_every": 10 * STEPS},
     }
     run = scene.parent / f"{'_'.join(weights) or 'none'}_{seed}"
-    pipeline.train(scene, run, config.parse(Settings, settings))
+    pipeline.train(scene, run, config.parse(Settings, config.merge(DEMO, differences)))
     return run
 
 

@@ -144,7 +144,7 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_pat
     def train(given, folder, settings, earlier):
         asked[folder.name] = settings
         assert given == scene
-        assert earlier == (None if settings.vanilla else tmp_path / "demo/vanilla")
+        assert earlier == (None if settings.schedule.vanilla else tmp_path / "demo/vanilla")
         shutil.copytree(run, folder)
 
     small = SimpleNamespace(
@@ -153,7 +153,7 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_pat
     monkeypatch.setattr(demo, "pipeline", small)
     monkeypatch.setattr(demo.analytic_scene, "write", lambda folder, **_: scene)
     report = demo.run(tmp_path / "demo")
-    assert [(settings.vanilla, settings.normals) for settings in asked.values()] == [
+    assert [(settings.schedule.vanilla, settings.supervision.normals) for settings in asked.values()] == [
         (True, str(scene / "normals")),
         (False, str(scene / "normals")),
     ]

@@ -19,8 +19,9 @@ from gsjax.pipeline.train import _planned
 from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.planning import holding_back, sparse_views
 from gsjax.planning.sparse_views import Gain
+from gsjax.presets import PRESETS
 from gsjax.runs.result import scene_of_run
-from gsjax.settings import PRESETS, Settings
+from gsjax.settings import Settings
 from gsjax.training.plan import plan
 
 
@@ -40,7 +41,7 @@ def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
     compiled = [one["program"] for record in runs.read_metrics(run) for one in record.get("compiled", [])]
     assert compiled.count("train_step") == 3, "one program a phase"
     gaussians = read_gaussians(run / "gaussians.ply")
-    assert gaussians.num_gaussians == manifest["gaussians"] <= SETTINGS["max_gaussians"]
+    assert gaussians.num_gaussians == manifest["gaussians"] <= SETTINGS["model"]["max_gaussians"]
     assert manifest["photos"] == "9 photos at 48x40, 30 steps"
 
 
@@ -81,8 +82,11 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, sto
 
 def test_a_weight_of_zero_is_no_other_setting_when_a_run_goes_on(run, scene, tmp_path):
     """A schedule takes a term out of the preset that it changes by a weight of zero."""
-    phases = [{**phase, "weights": {"sdf_normal": 0.0, **phase.get("weights", {})}} for phase in SETTINGS["phases"]]
-    settings = config.parse(Settings, {**SETTINGS, "phases": phases})
+    phases = [
+        {**phase, "weights": {"sdf_normal": 0.0, **phase.get("weights", {})}}
+        for phase in SETTINGS["schedule"]["phases"]
+    ]
+    settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"phases": phases}}))
     train_until_killed(13, scene, tmp_path / "run", settings)
     pipeline.train(scene, tmp_path / "run", settings, resume=True)
     assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
@@ -98,8 +102,8 @@ def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run
 
 
 def test_a_run_keeps_the_number_of_gaussians_that_memory_bore_when_it_began(run, scene):
-    assert json_files.read(run / "plan.json")["max_gaussians"] == SETTINGS["max_gaussians"]
-    assert _planned(scene, config.parse(Settings, SETTINGS), {}, 1, {"max_gaussians": 300}).max_gaussians == 300
+    assert json_files.read(run / "plan.json")["max_gaussians"] == SETTINGS["model"]["max_gaussians"]
+    assert _planned(scene, config.parse(Settings, SETTINGS), {}, {"max_gaussians": 300}).max_gaussians == 300
 
 
 def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene, tmp_path, monkeypatch, capsys):
@@ -128,7 +132,7 @@ def test_trials_of_holding_back_are_made_once_and_a_run_goes_on_as_they_said(sce
 
     monkeypatch.setattr(holding_back, "gain", helps)
     monkeypatch.setattr(sparse_views, "SHORTEST", 30)
-    settings = config.parse(Settings, SETTINGS | {"sparse_views": True})
+    settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"sparse_views": True}}))
     train_until_killed(8, scene, tmp_path / "run", settings)
     line = "held back to 450 Gaussians, each step leaves out 20% of them (photos kept from short trials: +0.5 +-0.1 dB)"
     assert line in capsys.readouterr().err
@@ -157,13 +161,19 @@ def test_the_loop_compares_photos_as_often_as_the_gate_says(scene, tmp_path, mon
 
     monkeypatch.setitem(pipeline.train.__globals__, "follow", follow)
     with pytest.raises(KeyboardInterrupt):
-        pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS | {"normal_gate": True}))
+        pipeline.train(
+            scene,
+            tmp_path / "run",
+            config.parse(Settings, config.merge(SETTINGS, {"supervision": {"normal_gate": True}})),
+        )
     np.testing.assert_array_equal(handed, [[0.5] * 7])
 
 
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):
     begun, whole = tmp_path / "begun", tmp_path / "whole"
-    first = {**SETTINGS, "phases": SETTINGS["phases"][:1], "rates": {"decay_steps": 30}}
+    first = config.merge(
+        SETTINGS, {"schedule": {"phases": SETTINGS["schedule"]["phases"][:1]}, "rates": {"decay_steps": 30}}
+    )
     pipeline.train(scene, begun, config.parse(Settings, first))
     pipeline.train(scene, whole, config.parse(Settings, SETTINGS), earlier=begun)
     assert (whole / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
@@ -189,8 +199,10 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_pa
 
 
 def test_a_run_that_begins_within_a_phase_of_another_compares_with_the_normals_of_that_phase(run, scene, tmp_path):
-    *before, surface = SETTINGS["phases"]
-    shorter = {**SETTINGS, "phases": [*before, {**surface, "steps": 5}], "rates": {"decay_steps": 30}}
+    *before, surface = SETTINGS["schedule"]["phases"]
+    shorter = config.merge(
+        SETTINGS, {"schedule": {"phases": [*before, {**surface, "steps": 5}]}, "rates": {"decay_steps": 30}}
+    )
     pipeline.train(scene, tmp_path / "shorter", config.parse(Settings, shorter))
     pipeline.train(scene, tmp_path / "whole", config.parse(Settings, SETTINGS), earlier=tmp_path / "shorter")
     assert (tmp_path / "whole/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
@@ -236,7 +248,9 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
     (tmp_path / "scene/sparse/0").mkdir(parents=True)
     model.write_binary(tmp_path / "scene/sparse/0")
     shutil.copy(scene / "gt_points.npz", tmp_path / "scene")
-    settings = config.parse(Settings, {**SETTINGS, "hold_out": "none", "images": str(scene / "images")})
+    settings = config.parse(
+        Settings, config.merge(SETTINGS, {"photos": {"hold_out": "none", "images": str(scene / "images")}})
+    )
 
     summary = pipeline.train(tmp_path / "scene", tmp_path / "run", settings)
 
@@ -257,7 +271,9 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
 def test_a_run_is_scored_on_its_own_split_whatever_became_of_the_list(run, scene, tmp_path):
     shutil.copytree(run, tmp_path / "run")
     config_file = tmp_path / "run/config.json"
-    json_files.write(config_file, {**json_files.read(config_file), "hold_out": str(tmp_path / "gone.txt")})
+    json_files.write(
+        config_file, config.merge(json_files.read(config_file), {"photos": {"hold_out": str(tmp_path / "gone.txt")}})
+    )
     held_out = [record["name"] for record in json_files.read(run / "cameras.json") if record["held_out"]]
     assert [frame.name for frame in scene_of_run(tmp_path / "run").held_out_frames] == held_out != []
 
@@ -291,7 +307,7 @@ def test_a_checkpoint_that_finds_no_room_ends_the_run_in_one_line(scene, tmp_pat
 
 def test_vanilla_is_the_same_run_without_its_terms(scene, tmp_path):
     folder = tmp_path / "run"
-    pipeline.train(scene, folder, config.parse(Settings, {**SETTINGS, "vanilla": True}))
+    pipeline.train(scene, folder, config.parse(Settings, config.merge(SETTINGS, {"schedule": {"vanilla": True}})))
     terms = [set(record["terms"]) for record in runs.read_metrics(folder)]
     assert terms == [{"l1", "dssim"}] * 6
     assert not (folder / "normals").exists()

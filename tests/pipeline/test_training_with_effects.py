@@ -19,8 +19,10 @@ from gsjax.settings import Settings
 
 def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch):
     """Its photos are clean: `auto` takes nothing in and ends with the bits of a run that was not asked."""
-    short = {"phases": [{"name": "vanilla", "steps": 16, "density_control": True}]}
-    settings = config.parse(Settings, {**SETTINGS, **short, "effects": "exposure,vignetting,poses,background"})
+    short = {"schedule": {"phases": [{"name": "vanilla", "steps": 16, "density_control": True}]}}
+    settings = config.parse(
+        Settings, config.merge(SETTINGS, short, {"effects": {"names": "exposure,vignetting,poses,background"}})
+    )
     whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
     summary = pipeline.train(scene, whole, settings)
     train_until_killed(9, scene, stopped, settings)
@@ -75,7 +77,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert scores <= three.keys() and not aligned & three.keys()
     assert three["psnr"] == pytest.approx(json_files.read(run / "manifest.json")["psnr"], abs=1e-3)
 
-    pipeline.train(scene, auto, config.parse(Settings, {**SETTINGS, "effects": "auto"}))
+    pipeline.train(scene, auto, config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "auto"}})))
     assert json_files.read(auto / "manifest.json")["effects"]["simulated"] == []
     assert (auto / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))
@@ -90,11 +92,17 @@ def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(scene, tmp_path, capsy
     photo, _ = read_image(tmp_path / "scene/images" / name)
     soft = gaussian_filter(photo.astype(np.float64), (2, 2, 0)).astype(np.uint8)
     write_image(tmp_path / "scene/images" / name, soft)
-    short = {"phases": [{"name": "vanilla", "steps": 2}]}
+    short = {"schedule": {"phases": [{"name": "vanilla", "steps": 2}]}}
     run, whole = tmp_path / "run", tmp_path / "whole"
-    pipeline.train(tmp_path / "scene", run, config.parse(Settings, {**SETTINGS, **short, "effects": "blur"}))
+    pipeline.train(
+        tmp_path / "scene", run, config.parse(Settings, config.merge(SETTINGS, short, {"effects": {"names": "blur"}}))
+    )
     assert f"train: too blurred, left out: {name}\n" in capsys.readouterr().err
-    pipeline.train(tmp_path / "scene", whole, config.parse(Settings, {**SETTINGS, **short, "effects": "exposure"}))
+    pipeline.train(
+        tmp_path / "scene",
+        whole,
+        config.parse(Settings, config.merge(SETTINGS, short, {"effects": {"names": "exposure"}})),
+    )
     assert json_files.read(run / "manifest.json")["effects"]["left_out"] == [name]
     assert json_files.read(whole / "manifest.json")["effects"]["left_out"] == []
     names = [[record["name"] for record in json_files.read(folder / "cameras.json")] for folder in (run, whole)]

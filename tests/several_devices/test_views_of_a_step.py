@@ -17,7 +17,7 @@ from gsjax.errors import InputError
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.cameras import center
-from gsjax.settings import Density, Phase, Rates, Settings, Weights
+from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import data_parallel
 from gsjax.training.data_parallel import device_mesh
 from gsjax.training.growth.rules import RULES
@@ -162,11 +162,12 @@ def test_views_that_are_no_multiple_of_the_devices_are_one_line():
 
 SETTINGS = Settings(
     seed=3,
-    background="random",
-    views_per_step=2,
-    phases=(Phase("coarse", 12, Weights(dssim=0.0), image_scale=2, density_control=True, cull_below=0.01),),
-    sh_every=4,
-    max_gaussians=ROWS,
+    model=Model(background="random", max_gaussians=ROWS),
+    schedule=Schedule(
+        views_per_step=2,
+        phases=(Phase("coarse", 12, Weights(dssim=0.0), image_scale=2, density_control=True, cull_below=0.01),),
+        sh_every=4,
+    ),
     density=Density(start=1, stop=12, every=4, gradient=1e-6, reset_every=10),
 )
 

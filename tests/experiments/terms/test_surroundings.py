@@ -11,7 +11,7 @@ from terms import make_terms, surroundings
 from terms.surroundings import Surroundings
 
 from gsjax.gaussians import is_alive
-from gsjax.settings import Phase, Rates, Settings, Weights
+from gsjax.settings import Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import loop
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
@@ -63,7 +63,7 @@ def test_another_table_is_made_every_500_looks_and_for_other_gaussians():
 @pytest.mark.long  # terms that studies alone hand in
 def test_a_run_trains_with_both_terms_and_draws_other_points_in_every_step():
     weights = Weights(l1=0.0, dssim=0.0, alpha=0.0, sugar_sdf=0.1, sugar_density=0.2)
-    settings = Settings(phases=(Phase("surface", 3, weights),), max_gaussians=ROWS)
+    settings = Settings(schedule=Schedule(phases=(Phase("surface", 3, weights),)), model=Model(max_gaussians=ROWS))
     optimizer, losses = make_optimizer(Rates(), 1.0, 8), []
     loop.fit(
         settings,

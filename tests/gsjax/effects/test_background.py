@@ -18,7 +18,7 @@ from gsjax.planning.validation import Validated
 from gsjax.rendering import backdrop
 from gsjax.scene import with_pixels
 from gsjax.scene.cameras import Camera
-from gsjax.settings import Settings
+from gsjax.settings import Model, Settings
 from gsjax.training.plan import plan
 
 CAMERA = camera_at((0.4, -0.3, 0.2), (1.0, 0.5, 4.0), size=(8, 6), focal=7.0)
@@ -119,7 +119,7 @@ def confirm(seen, proposed, skies, simulated):
 
 def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
     white = painted(lambda y, x: np.array([255, 255, 255]))
-    auto = plan(Settings(background="white"))
+    auto = plan(Settings(model=Model(background="white")))
     laid = choose_effects("auto", auto, white, confirm)
     assert "background" not in laid.effects
     told = laid.evidence["evidence"]["background"]
@@ -131,7 +131,7 @@ def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
 
 @pytest.mark.parametrize("effect", ["exposure", "vignetting"])
 def test_what_cameras_do_to_a_laid_colour_makes_no_sky_of_it(effect):
-    auto = plan(Settings(background="white"))
+    auto = plan(Settings(model=Model(background="white")))
     if effect == "exposure":
         stops = gains(wall(), 0.3)
 

@@ -23,7 +23,7 @@ from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels
 from gsjax.scene.batches import decode, read_batches, with_skies
 from gsjax.scene.cameras import Camera, look_at
-from gsjax.settings import Rates, Settings
+from gsjax.settings import EffectChoice, Model, Rates, Settings
 from gsjax.training.growth.adaptive import is_alive
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
@@ -230,11 +230,11 @@ def on_disk(tmp_path):
 
 def test_masks_that_are_given_are_read_at_the_photos_size(on_disk):
     scene = load_scene(on_disk)
-    masks = read_sky_masks(scene, Settings(sky="sky"), 1.0)
+    masks = read_sky_masks(scene, Settings(effects=EffectChoice(sky="sky")), 1.0)
     assert masks is not None and list(masks) == ["0.png"]
     np.testing.assert_array_equal(masks["0.png"], np.arange(72)[:, None].repeat(96, 1) < 20)
     assert read_sky_masks(scene, Settings(), 1.0) is None
-    assert read_sky_masks(scene, Settings(sky="auto"), 1.0) is None
+    assert read_sky_masks(scene, Settings(effects=EffectChoice(sky="auto")), 1.0) is None
 
 
 @pytest.mark.parametrize(
@@ -249,12 +249,12 @@ def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
     if shape is not None:
         write_image(on_disk / "sky/0.png", np.full(shape, 255, np.uint8))
     with pytest.raises(InputError, match=fault):
-        read_sky_masks(load_scene(on_disk), Settings(sky=folder), 1.0)
+        read_sky_masks(load_scene(on_disk), Settings(effects=EffectChoice(sky=folder)), 1.0)
 
 
 def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
     scene, truth, found = made
-    settings = Settings(effects="auto", far_points=200, max_gaussians=4000)
+    settings = Settings(effects=EffectChoice(names="auto"), model=Model(far_points=200, max_gaussians=4000))
     chosen = choose_effects("auto", plan(settings), scene, with_sky=True)
     assert chosen.names == ("background", "sky") and chosen.skies.keys() == found.keys()
     assert chosen.evidence is not None and chosen.evidence["simulated"] == ["background", "sky"]

@@ -57,7 +57,7 @@ def run(tmp_path):
     frames = tuple(
         frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(cameras)
     )
-    json_files.write(tmp_path / "config.json", {"background": "white"})
+    json_files.write(tmp_path / "config.json", {"model": {"background": "white"}})
     json_files.write(tmp_path / "manifest.json", {"scene": "gone", "status": "done"})
     write_gaussians(tmp_path / "gaussians.ply", planted()[0])
     write_views(tmp_path, frames)

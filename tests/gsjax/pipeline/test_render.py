@@ -34,7 +34,7 @@ def run(tmp_path, monkeypatch):
     frames = [
         frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(cameras)
     ]
-    json_files.write(folder / "config.json", {"background": "white"})
+    json_files.write(folder / "config.json", {"model": {"background": "white"}})
     write_gaussians(folder / "gaussians.ply", cloud(30))
     write_views(folder, tuple(frames))
     drawn_cameras = []

@@ -49,7 +49,7 @@ def run(tmp_path):
         frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(cameras)
     )
     folder = tmp_path / "run"
-    json_files.write(folder / "config.json", {"background": "white"})
+    json_files.write(folder / "config.json", {"model": {"background": "white"}})
     json_files.write(folder / "manifest.json", {"scene": "gone", "status": "done"})
     json_files.write(folder / "plan.json", {"phases": [], "steps": 1, "downscale": 2.0})
     write_gaussians(folder / "gaussians.ply", plane((0.0, 0.0, -1.0)))

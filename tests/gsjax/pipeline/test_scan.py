@@ -13,8 +13,9 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.locks import lock_folder
 from gsjax.pipeline.scan import scan, table
-from gsjax.settings import PRESETS as TRAINING
-from gsjax.settings import REFINED_BY, Settings
+from gsjax.presets import PRESETS as TRAINING
+from gsjax.presets import REFINED_BY
+from gsjax.settings import Settings
 
 scanning = importlib.import_module("gsjax.pipeline.scan")  # The package's attribute of that name is the function.
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import small_scenes
 
-from gsjax import cli, pipeline
+from gsjax import cli, config, pipeline
 from gsjax.io import json_files, ply
 from gsjax.io.images import write_image
 from gsjax.meshing.export import read_textured, write_mesh
@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
     colors = np.where((x < 0)[:, None], [0.9, 0.1, 0.1], [0.1, 0.2, 0.8])
     wall = small_scenes.discs(np.stack([x, y, np.full(x.size, 4.0)], -1), [0, 0, -1.0], 0.05, colors=colors)
     ply.write_gaussians(folder / "gaussians.ply", wall)
-    json_files.write(folder / "config.json", {"background": "white"})
+    json_files.write(folder / "config.json", {"model": {"background": "white"}})
     cameras = [small_scenes.camera_at((at, 0.1, 0), (0, 0, 4), size=(64, 48), focal=60) for at in (-0.5, 0.0, 0.5, 1.0)]
     records = [
         {"name": f"{k}.png", "width": 64, "height": 48, "viewmat": c.viewmat, "K": c.K, "held_out": k == 3}
@@ -44,7 +44,10 @@ def test_what_was_behind_the_gaussians_is_known_of_a_run_over_one_colour_alone(f
     np.testing.assert_array_equal(known_background(open_result(folder)), np.ones(3))
     assert known_background(open_result(folder / "gaussians.ply")) is None
     over_random = shutil.copytree(folder, tmp_path / "run")
-    json_files.write(over_random / "config.json", {**json_files.read(folder / "config.json"), "background": "random"})
+    json_files.write(
+        over_random / "config.json",
+        config.merge(json_files.read(folder / "config.json"), {"model": {"background": "random"}}),
+    )
     assert known_background(open_result(over_random)) is None
 
 

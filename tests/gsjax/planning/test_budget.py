@@ -13,7 +13,8 @@ from gsjax.config import parse
 from gsjax.errors import InputError
 from gsjax.gaussians import is_alive
 from gsjax.planning import budget
-from gsjax.settings import LENGTHS, PRESETS, Density, Phase, Rates, Settings, Weights, total_steps
+from gsjax.presets import LENGTHS, PRESETS
+from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 
 NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
 
@@ -43,20 +44,23 @@ def test_a_count_is_one_at_least(text):
 
 def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
     settings = Settings(
-        phases=(Phase("a", 1000), Phase("b", 0), Phase("c", 501)),
-        sh_every=700,
+        schedule=Schedule(phases=(Phase("a", 1000), Phase("b", 0), Phase("c", 501)), sh_every=700),
         rates=Rates(decay_steps=3000),
         density=Density(start=200, stop=900, every=100, reset_every=400),
     )
     half = budget.scaled(settings, 0.5)
-    assert [phase.steps for phase in half.phases] == [500, 0, 250]
-    assert (half.sh_every, half.rates.decay_steps) == (350, 1500)
+    assert [phase.steps for phase in half.schedule.phases] == [500, 0, 250]
+    assert (half.schedule.sh_every, half.rates.decay_steps) == (350, 1500)
     density = half.density
     assert (density.start, density.stop, density.every, density.reset_every) == (100, 450, 50, 200)
     assert budget.scaled(settings, 1.0) == settings
     assert budget.scaled(settings, 3.0).density.every == 100
     tiny = budget.scaled(settings, 1e-4)
-    assert [phase.steps for phase in tiny.phases] == [1, 0, 1] and tiny.sh_every == 1 and tiny.density.every == 20
+    assert (
+        [phase.steps for phase in tiny.schedule.phases] == [1, 0, 1]
+        and tiny.schedule.sh_every == 1
+        and tiny.density.every == 20
+    )
     unset = budget.scaled(NAMED["fast"], 0.3)
     assert unset.density.reset_every == 0 and unset.rates.decay_steps is None
 
@@ -64,16 +68,18 @@ def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
 @pytest.mark.parametrize(("factor", "every"), [(3.0, 100), (1.0, 100), (0.5, 100), (0.25, 100), (0.1, 40), (0.04, 20)])
 def test_gaussians_that_move_by_error_have_as_long_to_settle_as_before(factor, every):
     """Moved every 25 steps, those of a quarter of `balanced` end 7 dB lower (experiments/results/presets.md)."""
-    settings = Settings(phases=(Phase("a", 8000),), density=Density(rule="error", start=400, stop=3600, every=100))
+    settings = Settings(
+        schedule=Schedule(phases=(Phase("a", 8000),)), density=Density(rule="error", start=400, stop=3600, every=100)
+    )
     assert budget.scaled(settings, factor).density.every == every
 
 
 def test_another_length_shares_its_time_between_gaussians_and_steps():
     quarter, four = (budget.resized(NAMED["fast"], factor) for factor in (0.25, 4.0))
-    assert (quarter.max_gaussians, four.max_gaussians) == (30_000, 120_000)
-    steps = total_steps(NAMED["fast"])
-    assert total_steps(quarter) == pytest.approx(0.25 * steps / 0.65, abs=2)  # a step with half of them costs 0.65
-    assert total_steps(four) == pytest.approx(4 * steps / 1.7, abs=2)
+    assert (quarter.model.max_gaussians, four.model.max_gaussians) == (30_000, 120_000)
+    steps = NAMED["fast"].schedule.steps
+    assert quarter.schedule.steps == pytest.approx(0.25 * steps / 0.65, abs=2)  # a step with half of them costs 0.65
+    assert four.schedule.steps == pytest.approx(4 * steps / 1.7, abs=2)
     assert budget.resized(NAMED["fast"], 1.0) == NAMED["fast"]
 
 
@@ -84,20 +90,20 @@ class Machine:
         self.now, self.paces, self.measured = 0.0, paces, []
         monkeypatch.setattr(budget.time, "perf_counter", lambda: self.now)
         monkeypatch.setattr(
-            budget, "at_size", lambda scene, settings, steps: (scene, 1 + bool(settings.cpu_pixels), "")
+            budget, "at_size", lambda scene, settings, steps: (scene, 1 + bool(settings.photos.cpu_pixels), "")
         )
         monkeypatch.setattr(budget, "measure", self.measure)
 
     def measure(self, scene, settings):
-        name = next(name for name, each in NAMED.items() if each.phases == settings.phases)
+        name = next(name for name, each in NAMED.items() if each.schedule.phases == settings.schedule.phases)
         self.measured.append(name)
         self.now += 4.0
-        return self.paces[name] * total_steps(settings), 6.0
+        return self.paces[name] * settings.schedule.steps, 6.0
 
     def spent(self, seconds, chosen, name):
         """Seconds of the whole run, what is reserved for photos and scores included."""
-        gaussians = chosen.max_gaussians / NAMED[name].max_gaussians
-        steps = total_steps(chosen) * self.paces[name] * (0.3 + 0.7 * gaussians)
+        gaussians = chosen.model.max_gaussians / NAMED[name].model.max_gaussians
+        steps = chosen.schedule.steps * self.paces[name] * (0.3 + 0.7 * gaussians)
         return 0.2 * seconds + 4.0 * len(self.measured) + 6.0 + steps
 
 
@@ -122,18 +128,18 @@ def test_the_preset_is_the_longest_of_which_two_fifths_fit_and_ends_within_the_b
     chosen, line = budget.budgeted("scene", NAMED, seconds)
     assert machine.measured == list(dict.fromkeys(["quick", expected]))
     assert machine.spent(seconds, chosen, expected) == pytest.approx(seconds, rel=0.01)
-    assert line == f"{expected} in {total_steps(chosen):,} steps, with up to {chosen.max_gaussians:,} Gaussians"
+    assert line == f"{expected} in {chosen.schedule.steps:,} steps, with up to {chosen.model.max_gaussians:,} Gaussians"
 
 
 def test_accurate_is_never_longer_than_it_is(monkeypatch):
     Machine(monkeypatch, **PACES)
-    assert budget.budgeted("scene", NAMED, 1e7)[0] == replace(NAMED["accurate"], downscale=1)
+    assert budget.budgeted("scene", NAMED, 1e7)[0] == NAMED["accurate"].replace(photos={"downscale": 1.0})
 
 
 def test_a_preset_that_is_named_is_only_resized(monkeypatch):
     machine = Machine(monkeypatch, fast=0.1)
     chosen, _ = budget.budgeted("scene", {"fast": NAMED["fast"]}, 10_000)
-    assert machine.measured == ["fast"] and total_steps(chosen) > total_steps(NAMED["fast"])
+    assert machine.measured == ["fast"] and chosen.schedule.steps > NAMED["fast"].schedule.steps
     assert machine.spent(10_000, chosen, "fast") == pytest.approx(10_000, rel=0.01)
 
 
@@ -141,7 +147,7 @@ def test_a_preset_that_is_named_is_only_resized(monkeypatch):
 def test_a_run_whose_gaussians_stay_as_many_is_scaled_in_its_steps_alone(monkeypatch, seconds):
     machine = Machine(monkeypatch, fast=0.1)
     chosen, _ = budget.budgeted("scene", {"fast": NAMED["fast"]}, seconds, budget.scaled)
-    assert chosen.max_gaussians == NAMED["fast"].max_gaussians
+    assert chosen.model.max_gaussians == NAMED["fast"].model.max_gaussians
     assert machine.spent(seconds, chosen, "fast") == pytest.approx(seconds, rel=0.01)
 
 
@@ -154,22 +160,24 @@ def test_the_least_budget_that_a_refusal_names_is_taken(monkeypatch):
         budget.budgeted("scene", only, 20)
     least = float(re.search(r"take (\d+) s", str(caught.value))[1])
     assert least == np.ceil((4.0 + 6.0 + 50 * 0.5) / 0.8)
-    assert total_steps(budget.budgeted("scene", only, least)[0]) >= 50
+    assert budget.budgeted("scene", only, least)[0].schedule.steps >= 50
 
 
 def test_phases_without_steps_cannot_be_scaled(monkeypatch):
     Machine(monkeypatch)
     with pytest.raises(InputError, match="the phases of fast have no steps to scale"):
-        budget.budgeted("scene", {"fast": replace(NAMED["fast"], phases=(Phase("a", 0),))}, 100)
+        budget.budgeted("scene", {"fast": NAMED["fast"].replace(schedule={"phases": (Phase("a", 0),)})}, 100)
 
 
 SETTINGS = Settings(
-    phases=(
-        Phase("a", 700, image_scale=2, density_control=True),
-        Phase("b", 900, density_control=True, cull_below=0.5),
-        Phase("c", 30),
+    schedule=Schedule(
+        phases=(
+            Phase("a", 700, image_scale=2, density_control=True),
+            Phase("b", 900, density_control=True, cull_below=0.5),
+            Phase("c", 30),
+        )
     ),
-    max_gaussians=300,
+    model=Model(max_gaussians=300),
     density=Density(rule="error", start=0, stop=1000),
 )
 
@@ -205,7 +213,7 @@ def test_a_run_with_normals_and_depth_is_measured_and_nothing_multiplies():
         Phase("a", 500, density_control=True),
         Phase("b", 100, Weights(depth_normal=0.1, pixel_normal=0.1), surface_every=4, surface_scale=2),
     )
-    settings = replace(SETTINGS, phases=phases, depth="folder", sh_degree=0)
+    settings = SETTINGS.replace(schedule={"phases": phases}, supervision={"depth": "folder"}, model={"sh_degree": 0})
     whole, compiling = budget.measure(wall(5, num_points=40), settings)
     assert whole > 0 and compiling > 0
 
@@ -218,7 +226,7 @@ def test_all_photos_held_out_is_one_line():
 
 
 def test_what_grows_freely_is_measured_at_ten_times_the_cloud():
-    settings = replace(SETTINGS, density=Density(rule="adc"), max_gaussians=10_000)
+    settings = SETTINGS.replace(density=Density(rule="adc"), model={"max_gaussians": 10_000})
     gaussians = budget._grown(wall(4, num_points=40), settings)
     assert int(is_alive(gaussians).sum()) == gaussians.num_gaussians == 400
     means = np.asarray(gaussians.means)

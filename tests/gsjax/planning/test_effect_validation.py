@@ -1,7 +1,5 @@
 """Validation of effects: what is held out, how variants are compared, and which effects pass."""
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -23,13 +21,17 @@ from gsjax.planning.pace import relative_cost
 from gsjax.planning.sizes import training_extent
 from gsjax.planning.start import first_state
 from gsjax.planning.validation import Validated, compared
+from gsjax.presets import PRESETS
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
-from gsjax.settings import PRESETS, Phase, Settings
+from gsjax.settings import Model, Phase, Schedule, Settings
 from gsjax.training.plan import plan
 
-SETTINGS = Settings(background="white", phases=(Phase("vanilla", 3000),), max_gaussians=2000, sh_degree=1)
+SETTINGS = Settings(
+    model=Model(background="white", max_gaussians=2000, sh_degree=1),
+    schedule=Schedule(phases=(Phase("vanilla", 3000),)),
+)
 
 
 def photo(index=0, size=(40, 30)):
@@ -103,7 +105,7 @@ def test_a_run_under_600_steps_is_not_validated():
     frames = [photo(index, (1600, 1200)) for index in range(30)]
 
     def steps(count):
-        return steps_of_each(plan(replace(SETTINGS, phases=(Phase("vanilla", count),))), frames, 1)
+        return steps_of_each(plan(SETTINGS.replace(schedule={"phases": (Phase("vanilla", count),)})), frames, 1)
 
     assert steps(599) is None
     assert 25 <= steps(600) < steps(3000) <= 300

@@ -11,10 +11,12 @@ from gsjax.planning import holding_back, validation
 from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, Score, gain
 from gsjax.scene import Pixels, Tracks, frame_of, with_pixels
 from gsjax.scene.cameras import Camera
-from gsjax.settings import Phase, Settings
+from gsjax.settings import Model, Phase, Schedule, Settings
 from gsjax.training import loop
 
-SETTINGS = Settings(background="white", phases=(Phase("vanilla", 900),), sh_degree=1, sparse_views=True)
+SETTINGS = Settings(
+    model=Model(background="white", sh_degree=1), schedule=Schedule(phases=(Phase("vanilla", 900),), sparse_views=True)
+)
 FORGETFUL = 0.9  # of all Gaussians left out of every step: no way to train
 
 
@@ -47,7 +49,10 @@ def test_the_better_way_gains_and_the_same_way_gains_nothing(scene):
     masked = with_pixels(scene.frames[0], scene.frames[0].pixels()._replace(valid=np.zeros((32, 32), np.uint8)))
     same = gain(replace(scene, frames=(masked, *scene.frames[1:])), SETTINGS, lambda plan: plan)
     assert same == (0.0, 0.0, None, None), "no photo of this scene has matched points"
-    worse, better = gain(scene, SETTINGS, forgetful), gain(scene, replace(SETTINGS, dropout=FORGETFUL), mindful)
+    worse, better = (
+        gain(scene, SETTINGS, forgetful),
+        gain(scene, SETTINGS.replace(schedule={"dropout": FORGETFUL}), mindful),
+    )
     assert worse.decibels < -2 * worse.error < 0
     assert better.decibels == pytest.approx(-worse.decibels, rel=0.05)
 
@@ -116,7 +121,9 @@ def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, 
     monkeypatch.setattr(holding_back, "_scored", score)
     last = len(scene.points) - 1
     tracks = Tracks((scene.frames[0].name,), np.zeros(2, int), np.array([0, last]), np.zeros((2, 2)))
-    gain(replace(scene, tracks=lambda: tracks), replace(SETTINGS, points=str(tmp_path / "two.ply")), forgetful)
+    gain(
+        replace(scene, tracks=lambda: tracks), SETTINGS.replace(model={"points": str(tmp_path / "two.ply")}), forgetful
+    )
     expected = scene.similarity.points_to_local(np.array([[0.0, 0, 0], [1, 0, 0]]))
     assert len(begun) > 0
     assert all(np.allclose(points, expected) for points in begun)
@@ -174,6 +181,9 @@ def test_trials_judge_depth_by_the_points_matched_in_the_kept_photos(scene):
     photo, point = np.divmod(np.arange(len(scene.frames) * len(scene.points)), len(scene.points))
     tracks = Tracks(tuple(f.name for f in scene.frames), photo, point, np.zeros((len(point), 2)))
     matched = replace(scene, tracks=lambda: tracks)
-    worse, better = gain(matched, SETTINGS, forgetful), gain(matched, replace(SETTINGS, dropout=FORGETFUL), mindful)
+    worse, better = (
+        gain(matched, SETTINGS, forgetful),
+        gain(matched, SETTINGS.replace(schedule={"dropout": FORGETFUL}), mindful),
+    )
     assert worse.depth > 0.05
     assert better.depth == pytest.approx(-worse.depth, rel=0.05)

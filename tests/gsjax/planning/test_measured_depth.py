@@ -15,7 +15,7 @@ from gsjax.rendering import depth
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
 from gsjax.scene.georeference import Place
 from gsjax.scene.similarity import Similarity
-from gsjax.settings import Phase, Rates, Settings, Weights
+from gsjax.settings import Model, Phase, Rates, Schedule, Settings, Supervision, Weights
 from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
@@ -67,7 +67,7 @@ def scene_of(root, frames, *, similarity=None, noise=0.0, millimetres=2000, coun
 
 def test_points_tell_what_a_metre_is(tmp_path, frames):
     scene = scene_of(tmp_path, frames)
-    measured = measured_depth(scene, Settings(depth="depth", depth_unit="mm"))
+    measured = measured_depth(scene, Settings(supervision=Supervision(depth="depth", depth_unit="mm")))
     assert measured is not None
     assert "of 3 of 3 photos, in mm; 1 m is 0.5" in measured.line
     for (found, trust), camera in zip(measured.depths(1), CAMERAS, strict=True):
@@ -82,11 +82,11 @@ def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path
     doubled = Similarity(2.0)  # of files in metres
     tracked = scene_of(tmp_path, frames, similarity=doubled, millimetres=500)
     for scene, said in ((tracked, "the scene is in metres"), (replace(tracked, tracks=None), "no points tell the")):
-        measured = measured_depth(scene, Settings(depth="depth", depth_unit="mm"))
+        measured = measured_depth(scene, Settings(supervision=Supervision(depth="depth", depth_unit="mm")))
         assert measured is not None and said in measured.line
         np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
     placed = replace(tracked, place=Place(scale=3.0))  # a unit of the files is three metres
-    own = measured_depth(placed, Settings(depth="depth", depth_unit="scene"))
+    own = measured_depth(placed, Settings(supervision=Supervision(depth="depth", depth_unit="scene")))
     assert own is not None
     np.testing.assert_allclose(next(iter(own.depths(1)))[0], 2 * 3 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
 
@@ -94,29 +94,33 @@ def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path
 @pytest.mark.parametrize(("unit", "in_a_metre"), [("mm", 1000), ("cm", 100), ("m", 1)])
 def test_every_unit_is_as_long_as_its_name_says(tmp_path, frames, unit, in_a_metre):
     in_metres = replace(scene_of(tmp_path, frames, millimetres=in_a_metre), tracks=None)
-    measured = measured_depth(in_metres, Settings(depth="depth", depth_unit=unit))
+    measured = measured_depth(in_metres, Settings(supervision=Supervision(depth="depth", depth_unit=unit)))
     assert measured is not None
     np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
 
 
 def test_maps_of_something_else_are_refused(tmp_path, frames):
     with pytest.raises(InputError, match=r"depth: its depth and the points of the scene differ by \d+ % at any scale"):
-        measured_depth(scene_of(tmp_path, frames, noise=0.5), Settings(depth="depth", depth_unit="mm"))
+        measured_depth(
+            scene_of(tmp_path, frames, noise=0.5), Settings(supervision=Supervision(depth="depth", depth_unit="mm"))
+        )
 
 
 def test_the_term_is_in_every_phase_unless_a_phase_says_otherwise():
     phases = (Phase("a", 1), Phase("b", 1, Weights(measured_depth=0.7)), Phase("c", 1, Weights(measured_depth=0.0)))
     weights = [
         {each.name: each.weight for each in phase.terms}
-        for phase in plan(Settings(depth="depth", depth_weight=0.3, phases=phases)).phases
+        for phase in plan(
+            Settings(supervision=Supervision(depth="depth", depth_weight=0.3), schedule=Schedule(phases=phases))
+        ).phases
     ]
     assert [each.get("measured_depth") for each in weights] == [0.3, 0.7, None]
     with pytest.raises(InputError, match="phases.b.weights.measured_depth: needs measured depth, --depth DIR"):
-        plan(Settings(phases=phases))
+        plan(Settings(schedule=Schedule(phases=phases)))
     with pytest.raises(ValueError, match="vanilla is plain 3DGS"):
-        Settings(depth="depth", vanilla=True)
+        Settings(supervision=Supervision(depth="depth"), schedule=Schedule(vanilla=True))
     with pytest.raises(ValueError, match="depth_unit=mm is the unit of no maps"):
-        Settings(depth_unit="mm")
+        Settings(supervision=Supervision(depth_unit="mm"))
 
 
 def rendered_error(gaussians):
@@ -131,7 +135,10 @@ def test_training_comes_nearer_to_what_was_measured_than_without(frames):
     steps, trust = 60, np.full((24, 32), 255, np.uint8)
     phase = Phase("all", steps, Weights(dssim=0.0))
     settings = Settings(
-        phases=(phase,), depth="depth", depth_weight=1.0, rates=Rates(means=0.01, means_final=0.01), sh_degree=0
+        schedule=Schedule(phases=(phase,)),
+        supervision=Supervision(depth="depth", depth_weight=1.0),
+        model=Model(sh_degree=0),
+        rates=Rates(means=0.01, means_final=0.01),
     )
     start = replace(WALL, means=1.05 * WALL.means)
     optimizer = make_optimizer(settings.rates, 1.0, steps)

@@ -5,7 +5,7 @@ from gsjax.io.temporary_files import ArraysOnDisk
 from gsjax.planning import memory
 from gsjax.planning.memory import fit_to_memory, photo_bytes
 from gsjax.scene import Frame, in_memory
-from gsjax.settings import Phase, Settings, Weights
+from gsjax.settings import Model, Phase, Schedule, Settings, Weights
 from gsjax.training.plan import plan
 
 EYE = np.eye(4, dtype=np.float32)
@@ -16,8 +16,8 @@ FRAMES = [
 ]
 PLAN = plan(
     Settings(
-        phases=(Phase("coarse", 10, image_scale=2), Phase("surface", 10, Weights(sdf_normal=0.1))),
-        max_gaussians=1_000_000,
+        schedule=Schedule(phases=(Phase("coarse", 10, image_scale=2), Phase("surface", 10, Weights(sdf_normal=0.1)))),
+        model=Model(max_gaussians=1_000_000),
     )
 )
 PHOTOS = 3 * 100 * PIXELS + MASKED * PIXELS
@@ -34,9 +34,9 @@ def fitted(monkeypatch, folder, free, *, may_lower=True):
 
 def test_photos_take_their_pixels_and_what_the_largest_phase_lays_beside_them():
     assert photo_bytes(PLAN, FRAMES) == PHOTOS + NORMALS
-    coarse = plan(Settings(phases=(Phase("coarse", 10, image_scale=2), Phase("all", 10))))
+    coarse = plan(Settings(schedule=Schedule(phases=(Phase("coarse", 10, image_scale=2), Phase("all", 10)))))
     assert photo_bytes(coarse, FRAMES) == PHOTOS + PHOTOS // 4
-    halved = plan(Settings(phases=(Phase("surface", 10, Weights(sdf_normal=0.1), surface_scale=2),)))
+    halved = plan(Settings(schedule=Schedule(phases=(Phase("surface", 10, Weights(sdf_normal=0.1), surface_scale=2),))))
     assert photo_bytes(halved, FRAMES) == PHOTOS + NORMALS + (PHOTOS + NORMALS) // 4
 
 

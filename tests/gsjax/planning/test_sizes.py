@@ -7,7 +7,7 @@ from gsjax.planning import pace
 from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import chosen_downscale, size_line
 from gsjax.scene import Frame
-from gsjax.settings import Phase, Settings, Weights
+from gsjax.settings import Phase, Photos, Schedule, Settings, Weights
 from gsjax.training.plan import plan
 from gsjax.training.terms import weigh_terms
 
@@ -34,7 +34,7 @@ def photo(width, height):
 )
 def test_the_size_is_the_users_or_what_the_largest_photo_and_the_machine_bear(sizes, settings, on_cpu, expected):
     frames = [photo(*size) for size in sizes]
-    assert chosen_downscale(Settings(**settings), frames, on_cpu=on_cpu) == expected
+    assert chosen_downscale(Settings(photos=Photos(**settings)), frames, on_cpu=on_cpu) == expected
 
 
 def test_one_line_says_the_size_and_how_to_keep_the_photos_own():
@@ -47,7 +47,7 @@ PHASES = (Phase("coarse", 100, image_scale=2), Phase("vanilla", 200), Phase("sur
 
 
 def test_what_is_left_scales_with_the_pixels_and_the_terms_of_each_phase():
-    planned = plan(Settings(phases=PHASES))
+    planned = plan(Settings(schedule=Schedule(phases=PHASES)))
     coarse, vanilla, surface = planned.phases
     assert seconds_left(planned, 100, vanilla, 0.5) == pytest.approx(0.5 * (200 + 2 * 50))
     assert seconds_left(planned, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 2 * 50))
@@ -67,7 +67,11 @@ def test_a_phase_is_timed_once_after_its_first_steps(monkeypatch):
     clock = iter(np.arange(0, 1000, 0.25))
     monkeypatch.setattr(pace.time, "perf_counter", lambda: float(next(clock)))
     timer = Pace()
-    told = [timer.seconds_per_step(phase) for phase in plan(Settings(phases=PHASES)).phases for _ in range(30)]
+    told = [
+        timer.seconds_per_step(phase)
+        for phase in plan(Settings(schedule=Schedule(phases=PHASES))).phases
+        for _ in range(30)
+    ]
     steps = [i for i, seconds in enumerate(told) if seconds is not None]
     assert steps == [pace.UNTIMED + pace.TIMED - 1 + 30 * phase for phase in range(3)]
     assert {told[i] for i in steps} == {0.25 / pace.TIMED}

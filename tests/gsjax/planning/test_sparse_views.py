@@ -23,13 +23,13 @@ from gsjax.planning.sparse_views import (
     is_tried,
 )
 from gsjax.scene import Frame, Scene, Tracks
-from gsjax.settings import Phase, Settings, Weights
+from gsjax.settings import Model, Phase, Schedule, Settings, Weights
 from gsjax.training.plan import plan
 
 PHOTOS, POINTS, AWAY = 6, 50, 1e4  # so far away that all points have the same angles
 SHORT_PHASES = Phase("coarse", SHORTEST // 2), Phase("surface", SHORTEST // 4, Weights(depth_normal=0.3))
 PHASES = replace(SHORT_PHASES[0], steps=SHORTEST), SHORT_PHASES[1]
-SETTINGS = Settings(phases=PHASES, max_gaussians=1000, sparse_views=True)
+SETTINGS = Settings(schedule=Schedule(phases=PHASES, sparse_views=True), model=Model(max_gaussians=1000))
 PLAN = plan(SETTINGS)
 
 
@@ -77,19 +77,21 @@ def test_held_back_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none()
 
 def test_held_back_of_two_weights_of_one_term_the_larger_counts():
     phases = [Phase(name, SHORTEST, Weights(depth_normal=weight)) for name, weight in (("little", 0.01), ("much", 0.3))]
-    found = held_back(plan(replace(SETTINGS, phases=tuple(phases))))
+    found = held_back(plan(SETTINGS.replace(schedule={"phases": tuple(phases)})))
     weights = [{each.name: each.weight for each in phase.terms} for phase in found.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
     assert [list(each) for each in weights] == [[each.name for each in PLAN.phases[1].terms]] * 2
 
 
 def test_another_share_and_more_points_that_are_asked_for_stay():
-    found = held_back(plan(replace(SETTINGS, dropout=0.5, stereo_points=200)))
+    found = held_back(plan(SETTINGS.replace(schedule={"dropout": 0.5}, model={"stereo_points": 200})))
     assert [phase.dropout for phase in found.phases] == [0.5, 0.5]
     assert found.stereo_points == 200
 
 
-@pytest.mark.parametrize("settings", [replace(SETTINGS, sparse_views=False), replace(SETTINGS, vanilla=True)])
+@pytest.mark.parametrize(
+    "settings", [SETTINGS.replace(schedule={"sparse_views": False}), SETTINGS.replace(schedule={"vanilla": True})]
+)
 def test_unasked_for_nothing_is_looked_at(settings):
     assert for_sparse_views(PLAN, arc(FAR_APART + 1), settings, trial=never) == (PLAN, None)
 
@@ -98,7 +100,7 @@ def test_unasked_for_nothing_is_looked_at(settings):
 @pytest.mark.parametrize("trial", [None, never], ids=["without trials", "in a short run"])
 def test_the_angle_decides_where_no_trial_does(degrees, trial):
     """A run that begins in another's checkpoint has no beginning to try, and a short one no time."""
-    asked, is_far = replace(SETTINGS, phases=SHORT_PHASES) if trial else SETTINGS, degrees > FAR_APART
+    asked, is_far = SETTINGS.replace(schedule={"phases": SHORT_PHASES}) if trial else SETTINGS, degrees > FAR_APART
     found, decision = for_sparse_views(plan(asked), arc(degrees), asked, trial=trial)
     assert found == (held_back(plan(asked)) if is_far else plan(asked))
     assert (decision is not None) == is_far

@@ -7,12 +7,12 @@ import pytest
 from photographed_wall import wall
 
 from gsjax.planning import start
-from gsjax.settings import Settings
+from gsjax.settings import Model, Settings
 from gsjax.stereo import StereoPoints
 from gsjax.training.plan import plan
 
 WALL = wall(3, num_points=100)
-PLAN = plan(Settings(stereo_points=50, max_gaussians=900))
+PLAN = plan(Settings(model=Model(stereo_points=50, max_gaussians=900)))
 
 
 def found(scene, count):

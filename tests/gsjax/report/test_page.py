@@ -15,13 +15,14 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.meshing.export import write_mesh
 from gsjax.pipeline.compare import compare
+from gsjax.presets import PRESETS
 from gsjax.rendering.gallery import Picture
 from gsjax.report import tables, view_pictures
 from gsjax.report.curves import LEFT, RIGHT
 from gsjax.report.page import noted, report
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.meshes import Mesh
-from gsjax.settings import PRESETS, Settings
+from gsjax.settings import Settings
 from gsjax.training.plan import plan
 
 SIZE = (64, 48)  # width, height
@@ -76,7 +77,9 @@ def picture(uri):
 
 def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True, views=9, **settings):
     """A run folder as training leaves it, without its Gaussians and checkpoints."""
-    whole = config.parse(Settings, config.merge(PRESETS["fast"], {"seed": seed, "downscale": 2.0, **settings}))
+    whole = config.parse(
+        Settings, config.merge(PRESETS["fast"], {"seed": seed, "photos": {"downscale": 2.0}, **settings})
+    )
     planned = replace(plan(whole), downscale=2.0).record()
     runs.create(folder, config.to_dict(whole), scene=folder.parent / "scene <i>", seed=seed, plan=planned)
     for index, loss in enumerate(losses):
@@ -122,19 +125,24 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["blur"] == ["no", "-", "-", "0.05 EV", "a<b"]
     terms = "l1 0.8, dssim 0.2, pixel_normal 0.1, multi_view 0.06, photometric 0.3, alpha 0.1"
     assert page.cells["surface"] == ["1,000", terms]
-    assert page.cells["phases.2.weights.pixel_normal"] == ["0.1"]
+    assert page.cells["schedule.phases.2.weights.pixel_normal"] == ["0.1"]
     manifest = json_files.read(run / "manifest.json")
     assert page.cells["jax"] == [manifest["versions"]["jax"]] and page.cells["cpu"] == [manifest["machine"]["cpu"]]
 
 
 def test_the_page_tells_of_what_every_step_left_out(run):
     assert "Left out of every step" not in Page(report(run)).cells
-    settings = config.parse(Settings, config.merge(PRESETS["fast"], {"dropout": 0.4}))
+    settings = config.parse(Settings, config.merge(PRESETS["fast"], {"schedule": {"dropout": 0.4}}))
     json_files.write(run / "plan.json", plan(settings).record())
     far_apart = "photos stand far apart, and would be learned by heart"
     assert Page(report(run)).cells["Left out of every step"] == ["40% of the Gaussians", far_apart]
-    json_files.write(run / "config.json", json_files.read(run / "config.json") | {"dropout": 0.4})
-    assert Page(report(run)).cells["Left out of every step"] == ["40% of the Gaussians", "asked for: dropout=0.4"]
+    json_files.write(
+        run / "config.json", config.merge(json_files.read(run / "config.json"), {"schedule": {"dropout": 0.4}})
+    )
+    assert Page(report(run)).cells["Left out of every step"] == [
+        "40% of the Gaussians",
+        "asked for: schedule.dropout=0.4",
+    ]
 
 
 def test_photos_beside_renders_are_the_kept_pictures_under_their_own_names(run):
@@ -163,7 +171,7 @@ def test_nothing_of_a_name_becomes_markup_and_nothing_is_loaded(run):
 
 def test_bytes_of_a_name_that_are_no_text_are_shown_as_such(run):
     settings = json_files.read(run / "config.json")
-    json_files.write(run / "config.json", settings | {"normals": "k\udcfcche"})
+    json_files.write(run / "config.json", config.merge(settings, {"supervision": {"normals": "k\udcfcche"}}))
     assert r"k\udcfcche" in report(run).read_text(encoding="utf-8")
     json_files.write(run / "config.json", settings)
 
@@ -275,12 +283,14 @@ def test_a_last_line_that_a_kill_has_torn_is_left_out(run):
 def test_seeds_are_pooled_and_settings_that_differ_are_named(tmp_path):
     first = made_run(tmp_path / "a", seed=0, losses=(0.5, 0.3), psnr=25.0)
     second = made_run(tmp_path / "b", seed=2, losses=(0.3, 0.1), psnr=26.0)
-    other = made_run(tmp_path / "c", losses=(0.4, 0.4), psnr=21.0, vanilla=True, max_gaussians=500)
+    other = made_run(
+        tmp_path / "c", losses=(0.4, 0.4), psnr=21.0, schedule={"vanilla": True}, model={"max_gaussians": 500}
+    )
     page = Page(compare([first, other, second], tmp_path / "c.html"))
     assert page.rows[0] == ["", "a, 2 seeds", "c"]
     assert page.cells["psnr"] == ["25.5 [25 26]", "21"]
     assert page.cells["train_seconds"] == ["31.5 [30.5 32.5]", "30.5"]
-    assert page.cells["vanilla"] == ["false", "true"] and page.cells["max_gaussians"] == ["60000", "500"]
+    assert page.cells["schedule.vanilla"] == ["false", "true"] and page.cells["model.max_gaussians"] == ["60000", "500"]
     assert not {"seed", "sh_degree", "downscale"} & page.cells.keys()
     assert [row[1:3] for row in page.rows if row[0] == "a"] == [[str(first), "0"], [str(second), "2"]]
     assert [label for label, _ in page.lines] == 8 * ["a", "c"]

@@ -51,28 +51,19 @@ def test_a_run_is_reopened_on_its_own_data_set_with_its_own_settings_only(run, t
         runs.reopen(run, SETTINGS, scene=tmp_path / "other")
 
 
-def test_what_the_version_of_a_run_did_not_know_is_completed_before_it_is_compared(run, tmp_path):
-    asked = SETTINGS | {"train": {**SETTINGS["train"], "later": 0.0}}
-
-    def completed(started):
-        return started | {"train": {"later": 0.0, **started["train"]}}
-
-    with pytest.raises(InputError, match=r"was started with train\.later = null, not 0\.0"):
-        runs.reopen(run, asked, scene=tmp_path / "scene")
-    assert runs.reopen(run, asked, scene=tmp_path / "scene", completed=completed) == run
-    with pytest.raises(InputError, match=r"was started with train\.later = 0\.0, not 1\.0"):
-        runs.reopen(
-            run, asked | {"train": {**asked["train"], "later": 1.0}}, scene=tmp_path / "scene", completed=completed
-        )
-
-
-def test_a_run_from_before_depth_could_be_chosen_keeps_the_depth_that_it_had(run, tmp_path):
-    assert runs.read_settings(run) == {**SETTINGS, "depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
-    assert runs.reopen(run, SETTINGS | {"depth_mode": "center"}, scene=tmp_path / "scene") == run
-    with pytest.raises(InputError, match=r'was started with depth_mode = "center", not "plane"'):
-        runs.reopen(run, SETTINGS | {"depth_mode": "plane"}, scene=tmp_path / "scene")
-    json_files.write(run / "config.json", SETTINGS | {"depth_mode": "plane"})
-    assert runs.read_settings(run)["depth_mode"] == "plane"
+def test_a_run_of_an_earlier_version_is_read_and_not_resumed(run):
+    """Settings had no groups then, and knew of one depth and of no effects."""
+    json_files.write(run / "config.json", {"seed": 3, "background": "white", "photos": None, "hold_out": "8"})
+    assert runs.read_settings(run) == {
+        "seed": 3,
+        "photos": {"subset": None, "hold_out": "8"},
+        "supervision": {},
+        "model": {"background": "white", "depth_mode": "center", "pixel_filter": "classic"},
+        "schedule": {},
+        "effects": {"names": "none"},
+    }
+    with pytest.raises(InputError, match=r"run: of an earlier version: hold_out is photos\.hold_out now$"):
+        runs.can_resume(run)
 
 
 def left_by_the_dead(name):

@@ -16,8 +16,8 @@ from gsjax.runs import checkpoints
 PATIENCE = 900  # seconds until the first checkpoint, on a machine with much else to do
 LOST = (
     'phases=[{"name":"vanilla","steps":100000,"density_control":true}]',
-    "max_gaussians=400",
-    "sh_degree=0",
+    "model.max_gaussians=400",
+    "model.sh_degree=0",
     "density.rule=error",
     "logging.metrics_every=2",
     "logging.evaluate_every=0",

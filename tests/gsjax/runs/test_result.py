@@ -40,7 +40,7 @@ def frames() -> tuple[Frame, ...]:
 @pytest.fixture
 def run(tmp_path):
     write_gaussians(tmp_path / "gaussians.ply", cloud(30))
-    json_files.write(tmp_path / "config.json", {"background": "white"})
+    json_files.write(tmp_path / "config.json", {"model": {"background": "white"}})
     write_views(tmp_path, frames())
     return tmp_path
 
@@ -76,7 +76,7 @@ def test_depth_is_what_it_was_in_training(run):
 
     before_there_was_a_choice = depth()
     for mode in ("center", "plane"):
-        json_files.write(run / "config.json", {"background": "white", "depth_mode": mode})
+        json_files.write(run / "config.json", {"model": {"background": "white", "depth_mode": mode}})
         expected = list(gallery.pictures(open_result(run).gaussians, [CAMERAS[2]], np.ones(3), mode))[0].depth
         np.testing.assert_array_equal(depth(), expected)
         assert np.array_equal(expected, before_there_was_a_choice) == (mode == "center")

@@ -51,7 +51,7 @@ def run(tmp_path):
         frame_of(f"{HOSTILE}{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image))
         for k, c in enumerate(cameras)
     ]
-    json_files.write(folder / "config.json", {"background": "white"})
+    json_files.write(folder / "config.json", {"model": {"background": "white"}})
     write_gaussians(folder / "gaussians.ply", cloud(30))
     write_views(folder, tuple(frames))
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.settings import Density, Phase, Rates, Settings
+from gsjax.settings import Density, Phase, Rates, Schedule, Settings
 from gsjax.training import buffers, loop
 from gsjax.training.buffers import bucket, lengthen, shorten, with_room_to_densify
 from gsjax.training.growth.adaptive import GrowthStatistics
@@ -128,6 +128,6 @@ def test_rows_are_added_only_when_they_are_wanted_and_allowed(most):
 def test_growth_ends_at_its_stop_and_with_the_last_phase_that_has_it(stop, ends):
     phases = Phase("coarse", 3, density_control=True), Phase("vanilla", 3, density_control=True), Phase("surface", 5)
     for steps, expected in ((phases, ends), (phases[:2], [step for step in ends if step < 6])):
-        planned = plan(Settings(phases=steps, density=Density(start=1, stop=stop, every=2)))
+        planned = plan(Settings(schedule=Schedule(phases=steps), density=Density(start=1, stop=stop, every=2)))
         every = [(phase, step) for phase in planned.phases for step in range(phase.begin + 1, phase.end + 1)]
         assert [step for phase, step in every if loop._ends_growth(planned, phase, step)] == expected

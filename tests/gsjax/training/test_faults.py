@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 
 from gsjax.errors import InputError
-from gsjax.settings import Density, Phase, Rates, Settings, Weights
+from gsjax.settings import Density, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
@@ -45,7 +45,7 @@ def trained(frames, own, *, phases=None):
     """A training of six steps; its states after each, as numpy arrays."""
     states = []
     phases = phases or (Phase("plain", 6, Weights(dssim=0.0, own=0.5), density_control=True),)
-    settings = Settings(seed=3, phases=phases, density=DENSITY)
+    settings = Settings(seed=3, schedule=Schedule(phases=phases), density=DENSITY)
     state = initial_state(cloud(ROWS, seed=1), OPTIMIZER)
     watch = {"prior": lambda state: [], "observe": lambda told: states.append(jax.tree.map(np.array, told.state))}
     terms = {"own": Term(own, {"depth"})}

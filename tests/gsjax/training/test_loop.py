@@ -12,7 +12,7 @@ from gsjax.effects.simulation import NO_EFFECTS, Effect
 from gsjax.errors import InputError
 from gsjax.gaussians import opacities, take
 from gsjax.scene import batches, with_pixels
-from gsjax.settings import Density, Phase, Rates, Settings, Weights
+from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import buffers, loop
 from gsjax.training.growth import adaptive
 from gsjax.training.growth.adaptive import is_alive
@@ -28,13 +28,14 @@ PLAIN = Weights(dssim=0.0)
 EXTENT, ALIVE, CAPACITY = 1.0, 30, 48
 SETTINGS = Settings(
     seed=3,
-    background="random",
-    phases=(
-        Phase("coarse", 6, PLAIN, image_scale=2, density_control=True, cull_below=0.6),
-        Phase("surface", 5, Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2)),
+    model=Model(background="random", max_gaussians=CAPACITY),
+    schedule=Schedule(
+        phases=(
+            Phase("coarse", 6, PLAIN, image_scale=2, density_control=True, cull_below=0.6),
+            Phase("surface", 5, Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2)),
+        ),
+        sh_every=4,
     ),
-    sh_every=4,
-    max_gaussians=CAPACITY,
     density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5, min_opacity=0.01),
 )
 OPTIMIZER = make_optimizer(Rates(), EXTENT, 11)
@@ -139,7 +140,7 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
     monkeypatch.setattr(loop.buffers, "with_room_to_densify", lambda state, *_, **how: state)
     for chosen in (density, replace(density, reset_every=0)):
         for step in range(1, 9):
-            planned = plan(replace(SETTINGS, density=chosen, background="white"))
+            planned = plan(SETTINGS.replace(density=chosen, model={"background": "white"}))
             work = loop.Work(planned, (), EXTENT, OPTIMIZER, lambda state: [], lambda progress: None)
             loop._control_density(work, RULES["adc"], step, step, jax.random.key(0))
         calls.append("end")
@@ -208,7 +209,7 @@ def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_th
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
     weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, depth_normal=0.3)
-    settings = replace(SETTINGS, phases=(Phase("surface", 7, weights, surface_every=3, surface_scale=2),))
+    settings = SETTINGS.replace(schedule={"phases": (Phase("surface", 7, weights, surface_every=3, surface_scale=2),)})
     fitted(frames, settings, state=replace(start(), step=np.int32(begun)), capacity=64)
     always = {"l1", "alpha", "entropy"}, (24, 32)
     rarely = always[0] | {"sdf_normal", "depth_normal"}, (12, 16)
@@ -224,7 +225,7 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
         return lambda state, target, key: (state, SimpleNamespace(overflowed=False, finite=True, needed=1))
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
-    settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),), depth_mode="center")
+    settings = SETTINGS.replace(schedule={"phases": (Phase("plain", 1, PLAIN),)}, model={"depth_mode": "center"})
     for photos in (frames, tuple(with_pixels(f, f.pixels()._replace(matte=None)) for f in frames)):
         fitted(photos, settings, capacity=64)
     assert trained_with == [({"l1", "alpha"}, "center"), ({"l1"}, "center")]
@@ -250,14 +251,16 @@ def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frame
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
     with pytest.raises(raised, match=line) as error:
-        fitted(frames, replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),)), capacity=64)
+        fitted(frames, SETTINGS.replace(schedule={"phases": (Phase("plain", 1, PLAIN),)}), capacity=64)
     assert "\n" not in str(error.value)
 
 
 def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bits(frames):
     """With Gaussians left out of every step, which a resumed run leaves out as well."""
     density = Density(rule="error", start=0, stop=6, every=2, full_by=0.5, min_opacity=0.01, max_share=9.0)
-    settings = replace(SETTINGS, phases=(replace(SETTINGS.phases[0], cull_below=0.0),), density=density, dropout=0.3)
+    settings = SETTINGS.replace(
+        density=density, schedule={"phases": (replace(SETTINGS.schedule.phases[0], cull_below=0.0),), "dropout": 0.3}
+    )
 
     def start():
         return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER, RULES["error"])

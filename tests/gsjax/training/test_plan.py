@@ -1,25 +1,32 @@
 import math
-from dataclasses import replace
 
 import pytest
 
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.settings import PRESETS, Density, Logging, Phase, Rates, Settings, Weights, total_steps
+from gsjax.presets import PRESETS
+from gsjax.settings import Density, Logging, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training.plan import plan
 from gsjax.training.terms import Term
 
 SETTINGS = Settings(
-    phases=(
-        Phase("coarse", 500, image_scale=2, density_control=True),
-        Phase(
-            "surface", 301, Weights(sdf_normal=0.2, multi_view=0.1), cull_below=0.5, surface_every=2, surface_scale=3
+    schedule=Schedule(
+        phases=(
+            Phase("coarse", 500, image_scale=2, density_control=True),
+            Phase(
+                "surface",
+                301,
+                Weights(sdf_normal=0.2, multi_view=0.1),
+                cull_below=0.5,
+                surface_every=2,
+                surface_scale=3,
+            ),
         ),
+        sh_every=150,
     ),
     rates=Rates(decay_steps=3000, final_share=0.2),
     density=Density(start=50, stop=900, every=50, reset_every=0),
     logging=Logging(50, 0, 250),
-    sh_every=150,
 )
 
 
@@ -50,12 +57,12 @@ def test_a_sky_adds_its_term_to_every_step_and_without_one_it_is_nowhere():
     assert [terms(phase) for phase in with_sky.phases] == [terms(phase) | {"sky": 0.1} for phase in without.phases]
     assert all("sky" in {each.name for each in phase.image_terms} for phase in with_sky.phases)
     assert plan(SETTINGS).with_effects(("background",)).phases == without.phases
-    with pytest.raises(InputError, match="phases.surface.weights.sky: sky_weight weighs it"):
-        plan(replace(SETTINGS, phases=(Phase("surface", 10, Weights(sky=0.2)),)))
+    with pytest.raises(InputError, match="schedule.phases.surface.weights.sky: effects.sky_weight weighs it"):
+        plan(SETTINGS.replace(schedule={"phases": (Phase("surface", 10, Weights(sky=0.2)),)}))
 
 
 def test_every_step_leaves_out_the_share_that_was_asked_for_and_its_record_says_so():
-    planned = plan(replace(SETTINGS, dropout=0.4))
+    planned = plan(SETTINGS.replace(schedule={"dropout": 0.4}))
     assert [phase.dropout for phase in planned.phases] == [0.4, 0.4]
     assert [phase["dropout"] for phase in planned.record()["phases"]] == [0.4, 0.4]
     assert [phase.dropout for phase in plan(SETTINGS).phases] == [0.0, 0.0]
@@ -63,7 +70,7 @@ def test_every_step_leaves_out_the_share_that_was_asked_for_and_its_record_says_
 
 
 def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
-    plain = plan(replace(SETTINGS, vanilla=True))
+    plain = plan(SETTINGS.replace(schedule={"vanilla": True}))
     assert [terms(phase) for phase in plain.phases] == 2 * [{"l1": 0.8, "dssim": 0.2, "alpha": 0.1}]
     assert [(p.steps, p.cull_below, p.surface_every, p.surface_scale) for p in plain.phases] == [
         (500, 0.0, 1, 1),
@@ -72,7 +79,7 @@ def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
 
 
 def test_everything_comes_after_as_many_photos_and_rates_grow_with_the_root():
-    larger = plan(replace(SETTINGS, views_per_step=4))
+    larger = plan(SETTINGS.replace(schedule={"views_per_step": 4}))
     assert [phase.steps for phase in larger.phases] == [125, 76]
     assert larger.steps == larger.record()["steps"] == 201
     assert (larger.sh_every, larger.rates.decay_steps) == (38, 750)
@@ -86,9 +93,9 @@ def test_everything_comes_after_as_many_photos_and_rates_grow_with_the_root():
 @pytest.mark.parametrize("preset", PRESETS)
 @pytest.mark.parametrize("views", [1, 2, 3, 64])
 def test_every_preset_may_be_taken_in_larger_steps(preset, views):
-    settings = config.parse(Settings, {**PRESETS[preset], "views_per_step": views})
+    settings = config.parse(Settings, config.merge(PRESETS[preset], {"schedule": {"views_per_step": views}}))
     larger = plan(settings)
-    assert total_steps(settings) <= views * larger.steps < total_steps(settings) + views * len(larger.phases)
+    assert settings.schedule.steps <= views * larger.steps < settings.schedule.steps + views * len(larger.phases)
     assert larger.rates.means == pytest.approx(math.sqrt(views) * settings.rates.means)
 
 
@@ -99,7 +106,7 @@ def test_masks_of_transients_make_growth_wait():
 
 def test_a_term_of_ones_own_stands_beside_the_others_or_in_the_place_of_one():
     phase = Phase("surface", 10, Weights(needles=0.3, l1=0.5))
-    settings = replace(SETTINGS, phases=(phase,))
+    settings = SETTINGS.replace(schedule={"phases": (phase,)})
     (planned,) = plan(settings, {"needles": Term(needles, "gaussians")}).phases
     assert terms(planned) == {"l1": 0.5, "dssim": 0.2, "alpha": 0.1, "needles": 0.3}
     (planned,) = plan(settings, {"needles": Term(needles), "l1": Term(needles)}).phases
@@ -110,7 +117,7 @@ def test_a_term_of_ones_own_stands_beside_the_others_or_in_the_place_of_one():
     ("settings", "own", "message"),
     [
         (
-            replace(SETTINGS, phases=(Phase("last", 1, Weights(sdf_norml=0.1)),)),
+            SETTINGS.replace(schedule={"phases": (Phase("last", 1, Weights(sdf_norml=0.1)),)}),
             {},
             r"phases\.last\.weights\.sdf_norml: no such term of the loss; the nearest known one is 'sdf_normal'",
         ),

@@ -36,7 +36,7 @@ def run(tmp_path):
         frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(CAMERAS)
     ]
     folder = tmp_path / "run"
-    json_files.write(folder / "config.json", {"background": "white"})
+    json_files.write(folder / "config.json", {"model": {"background": "white"}})
     write_gaussians(folder / "gaussians.ply", cloud(30))
     write_views(folder, tuple(frames))
     return folder

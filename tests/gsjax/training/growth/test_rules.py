@@ -10,7 +10,7 @@ from small_scenes import camera_at, cloud, photographed
 
 from gsjax.errors import InputError
 from gsjax.gaussians import DEAD_LOGIT
-from gsjax.settings import Density, Phase, Rates, Settings, Weights
+from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import buffers
 from gsjax.training import state as states
 from gsjax.training.growth.adaptive import Moves
@@ -23,7 +23,12 @@ from gsjax.training.state import count_alive, initial_state
 ALIVE, ROWS, MOST = 30, 40, 160
 OPTIMIZER = make_optimizer(Rates(), 1.0, 12)
 PHASES = tuple(Phase(name, 6, Weights(dssim=0.0), density_control=True) for name in ("first", "second"))
-SETTINGS = Settings(seed=3, phases=PHASES, max_gaussians=MOST, density=Density(start=1, stop=12, every=3, gradient=1e9))
+SETTINGS = Settings(
+    seed=3,
+    schedule=Schedule(phases=PHASES),
+    model=Model(max_gaussians=MOST),
+    density=Density(start=1, stop=12, every=3, gradient=1e9),
+)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +94,7 @@ def test_a_phase_with_another_rule_begins_with_sums_of_its_own(frames, monkeypat
 
 def test_a_rule_that_is_not_known_is_named_before_anything_runs():
     with pytest.raises(InputError, match=r"^density\.rule='mine' is none of adc, error$"):
-        plan(replace(SETTINGS, density=Density(rule="mine")))
+        plan(SETTINGS.replace(density=Density(rule="mine")))
 
 
 def _densified(state):

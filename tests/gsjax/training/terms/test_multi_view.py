@@ -15,7 +15,7 @@ from gsjax.rendering import Neighbor, View
 from gsjax.scene import Pixels, batches, cameras, frame_of
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
-from gsjax.settings import Phase, Rates, Settings, Weights
+from gsjax.settings import Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import loop, stepping
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
@@ -306,7 +306,7 @@ def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: 1.0, begun
     monkeypatch.setattr(loop, "_run_phase", noted)
     optimizer = make_optimizer(Rates(), 1.0, 2)
     state = replace(initial_state(cloud(9), optimizer), step=np.int32(begun))
-    planned = plan(Settings(phases=phases))
+    planned = plan(Settings(schedule=Schedule(phases=phases)))
     loop.follow(loop.Work(planned, PHOTOS, 4.0, optimizer, prior, lambda progress: None, shares=shares), state)
     return neighbors
 

@@ -1,0 +1,180 @@
+"""Training runs by name: what differs from the defaults of `gsjax.settings`.
+
+Each preset shortens the phases of the paper and moves their boundaries in proportion.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from gsjax import config
+from gsjax.errors import InputError
+from gsjax.settings import AUTO, Settings
+
+
+def _phase(name: str, steps: int, **more: Any) -> dict:
+    return {"name": name, "steps": steps, **more}
+
+
+RATES: dict[str, float] = {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2}
+"""Of the presets for photos: larger than 3DGS's, whose runs are longer (experiments/results/rates.md)."""
+
+# On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
+# phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
+# (docs/deviations.md, experiments/results/mesh_terms.md).
+_SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
+# For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view` counts
+# pixels, of which the same way has half as many (experiments/results/price_on_photos.md).
+_HALF_SIZE_TERMS = {"pixel_normal": 0.1, "multi_view": 0.06, "photometric": 0.3}
+_OWN: dict[str, Any] = {
+    "supervision": {"normal_gate": True},
+    "effects": {"names": AUTO},
+    "model": {
+        "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
+        "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
+        "far_points": 1_800,
+    },
+    "schedule": {"sparse_views": True},
+    "rates": RATES,
+    "density": {"rule": "error", "start": 50, "full_by": 0.6, "reset_every": 0},
+}
+FAST = config.merge(
+    _OWN,
+    {
+        "photos": {"cpu_pixels": 300_000},
+        "model": {"max_gaussians": 60_000},
+        "schedule": {
+            "sh_every": 300,
+            "phases": [
+                _phase("coarse", 900, image_scale=2, density_control=True),
+                _phase("vanilla", 200, density_control=True),
+                _phase("surface", 1000, weights=_HALF_SIZE_TERMS, surface_every=4, surface_scale=2),
+            ],
+        },
+        "rates": {"means": 1.28e-3},
+        "density": {"stop": 1000},
+        "logging": {"evaluate_every": 250, "checkpoint_every": 250},
+    },
+)
+QUICK = config.merge(  # small photos and their image alone: a step takes less than half as long, one program to compile
+    FAST,
+    {
+        "model": {"max_gaussians": 36_000},
+        "schedule": {"sh_every": 150, "phases": [_phase("coarse", 900, image_scale=2, density_control=True)]},
+        "rates": {"means": RATES["means"], "sh_rest": 1e-3},
+        "density": {"start": 30, "stop": 630, "every": 50},
+    },
+)
+BALANCED = config.merge(
+    _OWN,
+    {
+        "model": {"max_gaussians": 120_000},
+        "schedule": {
+            "sh_every": 700,
+            "phases": [
+                _phase("coarse", 1000, image_scale=2, density_control=True),
+                _phase("vanilla", 5000, density_control=True),
+                _phase("surface", 2000, weights=_SURFACE_TERMS),
+            ],
+        },
+        "density": {"stop": 3600},
+    },
+)
+ACCURATE = config.merge(  # `balanced` in as many steps as the paper's
+    _OWN,
+    {
+        "model": {"max_gaussians": 300_000},
+        "schedule": {
+            "sh_every": 1300,
+            "phases": [
+                _phase("coarse", 1900, image_scale=2, density_control=True),
+                _phase("vanilla", 9350, density_control=True),
+                _phase("surface", 3750, weights=_SURFACE_TERMS),
+            ],
+        },
+        "density": {"start": 100, "stop": 6700},
+    },
+)
+
+
+def _of_the_paper(surface_steps: int) -> dict[str, Any]:
+    phases = [
+        _phase("vanilla", 7000, density_control=True),
+        _phase("entropy", 2000, weights={"entropy": 0.1}, cull_below=0.5),
+        _phase("surface", surface_steps, weights={"sdf_normal": 0.2}),
+    ]
+    return {"schedule": {"phases": phases}, "rates": {"decay_steps": 30000}}
+
+
+DEMO: dict[str, Any] = {
+    "model": {
+        "background": "white",
+        "depth_mode": "front",
+        "pixel_filter": "mip",  # its pixels are means over their area, unsharpened
+        "max_gaussians": 12_000,
+        "sh_degree": 2,
+    },
+    "schedule": {
+        "sh_every": 150,
+        "phases": [
+            _phase("vanilla", 100, density_control=True),
+            _phase(
+                "surface",
+                900,
+                weights={"pixel_normal": 0.6, "thickness": 0.02},
+                surface_every=4,
+                density_control=True,
+            ),
+        ],
+    },
+    "rates": RATES,
+    "density": {
+        "rule": "error",
+        "start": 50,
+        "stop": 600,
+        "every": 50,
+        "full_by": 0.6,
+        "replace": 0.05,
+        "reset_every": 0,
+    },
+    "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 2000},
+}
+"""The built-in scene at 192x192 pixels with its true normals (`gsjax.pipeline.demo`).
+
+R and `thickness` act while Gaussians densify: splats that are thin by then cost pictures nothing
+(experiments/results/price_of_r.md).
+"""
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "quick": QUICK,
+    "fast": FAST,
+    "balanced": BALANCED,
+    "accurate": ACCURATE,
+    "paper_6k_15k": _of_the_paper(6000),
+    "paper_13k_7k": _of_the_paper(13_000),
+}
+REFINED_BY = {
+    "quick": "fast",
+    "fast": "fast",
+    "balanced": "balanced",
+    "accurate": "long",
+    "paper_6k_15k": "long",
+    "paper_13k_7k": "medium",
+}
+"""Of every preset, that of `gsjax.binding.refinement.PRESETS` by which its mesh is refined."""
+LENGTHS = ("quick", "fast", "balanced", "accurate")
+"""Of the presets, what a budget of time chooses from, the shortest first."""
+
+
+def preset(name: str, differences: Mapping[str, Any] | None = None) -> Settings:
+    """The settings of a preset, with differences from it.
+
+    Args:
+        name: Of `PRESETS`.
+        differences: What differs, a table for each group of `Settings`, as in `{"model": {"max_gaussians": 9_000}}`.
+
+    Raises:
+        InputError: The preset or a field is unknown, or a value is out of range.
+    """
+    if name not in PRESETS:
+        raise InputError(f"preset {name!r} is none of {', '.join(PRESETS)}")
+    return config.parse(Settings, config.merge(PRESETS[name], differences or {}), where=f"preset {name}")
