@@ -80,7 +80,7 @@ def test_a_run_with_terms_of_its_own_goes_on_to_the_same_bits(rounder, scene, tm
 
 
 def test_a_weight_without_its_term_is_one_line_before_anything_is_written(scene, tmp_path):
-    with pytest.raises(InputError, match=r"^phases\.round\.weights\.needles: no such term of the loss"):
+    with pytest.raises(InputError, match=r"^schedule\.phases\.round\.weights\.needles: no such term of the loss"):
         pipeline.train(scene, tmp_path / "run", ENDED)
     assert not (tmp_path / "run").exists()
 

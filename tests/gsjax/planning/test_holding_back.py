@@ -29,10 +29,10 @@ def scene(tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch):
     """Trials of thirty steps."""
-    (phase,) = validation.SHORT.phases
+    (phase,) = validation.SHORT.schedule.phases
     density = replace(validation.SHORT.density, start=5, stop=20)
     monkeypatch.setattr(
-        validation, "SHORT", replace(validation.SHORT, phases=(replace(phase, steps=30),), density=density)
+        validation, "SHORT", validation.SHORT.replace(schedule={"phases": (replace(phase, steps=30),)}, density=density)
     )
 
 

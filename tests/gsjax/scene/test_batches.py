@@ -167,5 +167,5 @@ def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
 
 def test_a_cpu_gives_photos_no_room_of_their_own(monkeypatch):
     assert batches.device_room(0.5) == 0
-    monkeypatch.setattr(jax, "devices", lambda: [SimpleNamespace(memory_stats=lambda: {"bytes_limit": 1000})])
+    monkeypatch.setattr(jax, "local_devices", lambda: [SimpleNamespace(memory_stats=lambda: {"bytes_limit": 1000})])
     assert batches.device_room(0.25) == 250

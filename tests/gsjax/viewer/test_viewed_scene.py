@@ -116,7 +116,7 @@ def test_a_file_without_gaussians_is_one_line_and_exit_code_2(tmp_path, capsys):
     fields = {name: value if name == "pixel_filter" else value[:0] for name, value in vars(cloud(1)).items()}
     write_gaussians(tmp_path / "none.ply", Gaussians(**fields))
     assert cli.main(["view", str(tmp_path / "none.ply"), "--port", "0"]) == 2
-    line = f"gsjax: error: {tmp_path / 'none.ply'}: holds no Gaussians, there is nothing to look at\n"
+    line = f"gsjax: error: {tmp_path / 'none.ply'}: holds no Gaussians, there is nothing to show\n"
     assert capsys.readouterr().err == line
 
 
