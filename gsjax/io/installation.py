@@ -106,8 +106,8 @@ def _check_library(name: str, bounds: str) -> Finding:
 
 def _fits(version: str, bounds: str) -> bool:
     """Whether a version lies within bounds such as `>=0.10.2,!=0.11.1,<0.13`."""
-    wanted = re.findall(r"(>=|<=|==|!=|<|>)([\d.]+)", bounds)
-    return all(COMPARISONS[sign](_release(version), _release(bound)) for sign, bound in wanted)
+    comparisons = re.findall(r"(>=|<=|==|!=|<|>)([\d.]+)", bounds)
+    return all(COMPARISONS[sign](_release(version), _release(bound)) for sign, bound in comparisons)
 
 
 def _release(version: str) -> tuple[int, ...]:

@@ -85,15 +85,18 @@ def write_gaussians(
 
 def _oriented_axes(gaussians: Gaussians, cameras: np.ndarray | None) -> np.ndarray:
     """`[N, 3]` smallest axes, turned to the nearest camera or, without cameras, away from the median of the means."""
-    axes = np.asarray(smallest_axes(gaussians))
-    means = np.nan_to_num(np.asarray(gaussians.means)).astype(np.float64)  # Readers leave such rows out.
-    if not len(means):
+    axes = np.array(smallest_axes(gaussians))
+    is_placed = np.isfinite(gaussians.means).all(1)  # Readers leave the other rows out: their axes need no direction.
+    if not is_placed.any():
         return axes
+    means = np.asarray(gaussians.means)[is_placed].astype(np.float64)
     if cameras is None or not len(cameras):
         directions = means - np.median(means, axis=0)
     else:
         directions = cameras[KDTree(cameras).query(means)[1]] - means
-    return np.where(np.sum(axes * directions, axis=1, keepdims=True) < 0, -axes, axes)
+    is_reversed = np.sum(axes[is_placed] * directions, axis=1, keepdims=True) < 0
+    axes[is_placed] *= np.where(is_reversed, -1, 1).astype(axes.dtype)
+    return axes
 
 
 def read_gaussians(path: str | Path) -> Gaussians:

@@ -88,9 +88,9 @@ class ArraysOnDisk:
 
     def _file_with_room(self, size: int) -> IO[bytes]:
         if self._file is None or self._taken + size > len(self._mapped):
-            self._file = tempfile.TemporaryFile(dir=self.folder)  # noqa: SIM115 (closed with the scratch)
+            self._file = tempfile.TemporaryFile(dir=self.folder)  # noqa: SIM115 (closed with this object)
             weakref.finalize(self, self._file.close)
-            self._file.truncate(max(FILE, size))  # Bytes that nobody writes take no place.
+            self._file.truncate(max(FILE, size))  # Bytes that are never written take no space.
             self._mapped, self._taken = np.memmap(self._file, np.uint8, mode="r"), 0
         return self._file
 

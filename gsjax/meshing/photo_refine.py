@@ -197,12 +197,12 @@ def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix) 
     before, at, after = (curves[rows, inner + k] for k in (-1, 0, 1))
     bend = np.maximum(before - 2 * at + after, 0)
     # The least point of the parabola through the three.
-    wanted = steps[inner] + STEP * np.clip(0.5 * (before - after) / np.maximum(bend, GRAY**4), -1, 1)
+    offsets = steps[inner] + STEP * np.clip(0.5 * (before - after) / np.maximum(bend, GRAY**4), -1, 1)
     told = (survey.views >= LEAST_VIEWS) & (lowest == inner)
     typical = max(float(np.median(bend[told])) if told.any() else 0.0, GRAY**2)
     evidence = np.where(told, np.minimum(bend / typical, 4), 0)
     system = sparse.diags(evidence + 1e-6) + STIFFNESS * differences
-    way, _ = cg(system, evidence * wanted, rtol=1e-4, maxiter=300)
+    way, _ = cg(system, evidence * offsets, rtol=1e-4, maxiter=300)
     return way
 
 

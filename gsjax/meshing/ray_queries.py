@@ -93,5 +93,5 @@ def closest_on_mesh(mesh: Mesh, queries: np.ndarray) -> tuple[np.ndarray, np.nda
 
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(tensor(mesh.vertices - middle, np.float32), tensor(mesh.faces, np.uint32))
-    found = scene.compute_closest_points(tensor(queries - middle, np.float32))
-    return found["points"].numpy() + middle, found["primitive_ids"].numpy().astype(np.int64)
+    closest = scene.compute_closest_points(tensor(queries - middle, np.float32))
+    return closest["points"].numpy() + middle, closest["primitive_ids"].numpy().astype(np.int64)

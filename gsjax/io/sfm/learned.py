@@ -70,10 +70,10 @@ def find_features(
     glue = matcher_weights and _load(
         "LightGlueMatcher", matcher_weights, lambda file: cv2.LightGlueMatcher.create(file)
     )
-    found = map_with_bar(
+    features = map_with_bar(
         lambda photo: _features(network, detector, weights, photo), photos, progress, "features", "photo", most=1
     )
-    return found, matcher_weights and LightGlue(glue, matcher_weights, photos, found)
+    return features, matcher_weights and LightGlue(glue, matcher_weights, photos, features)
 
 
 class LightGlue:

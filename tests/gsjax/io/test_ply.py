@@ -172,6 +172,19 @@ def test_rows_that_are_not_finite_are_left_out_and_counted(tmp_path, capsys):
         read_gaussians(tmp_path / "h.ply")
 
 
+@pytest.mark.parametrize("cameras", [None, np.array([[0.4, -0.3, 2.0], [-5.0, 1.0, 0.0]])])
+def test_a_mean_that_is_not_finite_turns_no_other_normal(tmp_path, cameras):
+    gaussians = some_gaussians(5)
+    gaussians.means[:, :] = [[1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0], [4.0, 0, 0], [np.nan, np.inf, 0]]
+    gaussians.quats[:] = [1, 0, 0, 0]
+    gaussians.log_scales[:] = [-5, 0, 0]  # The smallest axis is x.
+    write_gaussians(tmp_path / "all.ply", gaussians, cameras=cameras)
+    write_gaussians(tmp_path / "finite.ply", take(gaussians, np.arange(4)), cameras=cameras)
+    (names, rows), (_, finite) = (table_of(tmp_path / f"{name}.ply") for name in ("all", "finite"))
+    normals = [names.index(name) for name in ("nx", "ny", "nz")]
+    np.testing.assert_array_equal(rows[:4, normals], finite[:, normals])
+
+
 @pytest.mark.parametrize("third", ["absent", "minus infinity"])
 def test_discs_of_2dgs_are_discs(tmp_path, capsys, third):
     gaussians = some_gaussians(9)

@@ -1,0 +1,139 @@
+"""gsplat's `info`: its keys, the probe of the 2D means, and what each render mode needs."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxprs import equations
+from scenes import BACKENDS, cloud, loss, render
+from tolerances import assert_close
+
+import rasterizer
+from rasterizer import gsplat
+
+PAIR = cloud(cameras=2)
+OPTIONS = {"capacity": 4096, "tile_size": 8, "backend": "xla"}
+SIZES = {"width": 37, "height": 29, "n_cameras": 2, "tile_size": 8, "tile_width": 5, "tile_height": 4}
+KEYS = {"gaussian_ids", "camera_ids", "opacities", "means2d", "radii", "depths", "conics"}
+KEYS_OF_LISTS = {"tiles_per_gauss", "isect_offsets", "flatten_ids"}
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_backend_has_the_keys_that_it_can_fill(backend):
+    info = render(PAIR, **{**OPTIONS, "backend": backend})[2]
+    assert all(info[name] is not None for name in KEYS - {"gaussian_ids", "camera_ids"})
+    assert {name: info[name] for name in SIZES} == SIZES and all(type(info[name]) is int for name in SIZES)
+    assert info["gaussian_ids"] is None and info["camera_ids"] is None  # as in gsplat without packing
+    assert ("splats" in info) == (backend != "reference")
+    with pytest.raises(KeyError, match="splats" if backend == "reference" else "no_such"):
+        info["flatten_ids" if backend == "reference" else "no_such"]
+
+
+def test_the_lists_draw_the_same_image_through_the_stage_of_gsplat():
+    image, alphas, info = render(PAIR, **OPTIONS, rasterize_mode="antialiased")
+    colors = jnp.broadcast_to(PAIR.colors[None], (2, *PAIR.colors.shape))
+    lists = info["isect_offsets"], info["flatten_ids"], PAIR.backgrounds
+    drawn = rasterizer.rasterize_to_pixels(
+        info["means2d"], info["conics"], colors, info["opacities"], 37, 29, 8, *lists, backend="xla"
+    )
+    assert_close(drawn, (image, alphas))
+
+
+def test_tiles_of_a_splat_are_those_that_list_it_and_of_its_box():
+    info = render(PAIR, **OPTIONS)[2]
+    listed = np.asarray(info["flatten_ids"])
+    listed = listed[listed >= 0]
+    counts = np.bincount(listed, minlength=80).reshape(2, 40)
+    np.testing.assert_array_equal(info["tiles_per_gauss"], counts)
+    assert len(listed) == int(info["offsets"][-1]) > 0
+    boxes, _, _ = rasterizer.isect_tiles(info["means2d"], info["radii"], info["depths"], 8, 5, 4)
+    assert np.all(counts <= boxes) and np.all(counts[np.asarray(info["radii"] == 0).any(-1)] == 0)
+    assert info["isect_offsets"].shape == (2, 4, 5) and info["isect_offsets"].dtype == jnp.int32
+    assert_close(info["opacities"], jnp.broadcast_to(PAIR.opacities[None], (2, 40)))
+
+
+def test_scenes_in_leading_dimensions_have_lists_of_their_own():
+    two = jax.tree.map(lambda x: jnp.stack([x, x]), PAIR)
+    two = replace(two, means=two.means.at[1].multiply(0.8))
+    info = render(two, **OPTIONS)[2]
+    alone = [render(jax.tree.map(lambda x, at=at: x[at], two), **OPTIONS)[2] for at in (0, 1)]
+    for name in KEYS_OF_LISTS | {"opacities"}:
+        np.testing.assert_array_equal(info[name], np.stack([each[name] for each in alone]))
+    assert info["width"] == 37
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_probe_takes_the_gradient_of_the_means(backend):
+    """A step of all projected means is a step of the principal point, exactly so in a parallel projection."""
+    zeros, Ks = jnp.zeros((2, 40, 2), jnp.float32), PAIR.Ks.at[:, :2, :2].multiply(0.3)
+    options = {**OPTIONS, "backend": backend, "camera_model": "ortho"}
+
+    def value(zeros, Ks):
+        return loss(replace(PAIR, Ks=Ks), **options, means2d_probe=zeros)[0]
+
+    of_probe, of_Ks = jax.grad(value, (0, 1))(zeros, Ks)
+    assert_close(of_probe.sum(1), of_Ks[:, :2, 2], kind="gradient")
+    assert np.abs(of_probe).max() > 0.1
+    moved = render(PAIR, **options, means2d_probe=zeros + 0.25)[2]["means2d"]
+    assert_close(moved, render(PAIR, **options)[2]["means2d"] + 0.25)
+    with pytest.raises(ValueError, match=r"means2d_probe.shape=\(40, 2\), expected \(2, 40, 2\)"):
+        render(PAIR, **options, means2d_probe=zeros[0])
+
+
+def test_what_is_not_read_is_not_in_the_program():
+    def program(read):
+        def drawn(scene):
+            image, _, info = render(scene, **OPTIONS)
+            return image, *(info[name] for name in read)
+
+        return sum(1 for _ in equations(jax.make_jaxpr(drawn)(PAIR).jaxpr))
+
+    assert program(KEYS | SIZES.keys()) == program(())
+    assert all(program((name,)) > program(()) for name in KEYS_OF_LISTS)
+
+
+def test_results_pass_through_jit_with_their_sizes():
+    info = jax.jit(lambda scene: render(scene, **OPTIONS)[2])(PAIR)
+    assert isinstance(info, gsplat.Info) and info["tile_width"] == 5
+    assert_close(info["tiles_per_gauss"], render(PAIR, **OPTIONS)[2]["tiles_per_gauss"])
+    paths = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path(info)[0]]
+    assert "['means2d']" in paths and "means2d" in str(info)
+
+
+ONE = cloud()
+
+
+@pytest.mark.parametrize("render_mode", ["D", "ED"])
+def test_depth_needs_no_colours(render_mode):
+    expected = render(ONE, capacity=2048, render_mode=render_mode, backgrounds=None)
+    for scene in (replace(ONE, colors=None), replace(ONE, colors=jnp.zeros((40, 5)))):
+        image, alphas, _ = render(scene, capacity=2048, render_mode=render_mode, backgrounds=None)
+        np.testing.assert_array_equal(image, expected[0])
+        np.testing.assert_array_equal(alphas, expected[1])
+
+
+@pytest.mark.parametrize("render_mode", ["RGB", "RGB+D", "RGB+ED"])
+def test_colours_need_colours(render_mode):
+    with pytest.raises(ValueError, match="colors=None needs a render_mode of depth alone, not 'RGB"):
+        render(replace(ONE, colors=None), capacity=2048, render_mode=render_mode, backgrounds=None)
+
+
+@pytest.mark.parametrize("render_mode", ["D", "RGB+D", "RGB+ED"])
+def test_a_background_of_the_colours_alone_leaves_depth_over_zero(render_mode):
+    image, alphas, _ = render(ONE, capacity=2048, render_mode=render_mode)
+    depth = render(ONE, capacity=2048, render_mode=render_mode, backgrounds=None)[0][..., -1:]
+    np.testing.assert_array_equal(image[..., -1:], depth)
+    if "RGB" in render_mode:
+        assert_close(image[..., :3], render(ONE, capacity=2048)[0])
+    behind = jnp.concatenate([ONE.backgrounds, jnp.full((1, 1), 7.0)], -1)[:, -image.shape[-1] :]
+    whole = render(ONE, capacity=2048, render_mode=render_mode, backgrounds=behind)[0]
+    assert_close(whole[..., -1:], depth + 7 * (1 - alphas))
+
+
+def test_harmonics_without_a_channel_are_refused():
+    with pytest.raises(ValueError, match=r"coeffs.shape=\(8, 25, 0\) holds no channel"):
+        rasterizer.spherical_harmonics(0, jnp.ones((8, 3)), jnp.ones((8, 25, 0)))
+    with pytest.raises(ValueError, match=r"colors.shape=.* holds no channel"):
+        render(replace(ONE, colors=jnp.ones((40, 4, 0))), capacity=2048, sh_degree=1, backgrounds=None)
