@@ -41,6 +41,12 @@ def parse(cls: type[T], data: Mapping[str, Any], *, where: str = "config") -> T:
     return _Parser(cls, where).dataclass(cls, data, "")
 
 
+def parse_overridden(cls: type[T], data: Mapping[str, Any], assignments: Sequence[str]) -> T:
+    """As `parse`, with the assignments of `--set` made (`override`), which also reach into defaults that are lists."""
+    whole = to_dict(parse(cls, data, where="settings"))
+    return parse(cls, override(whole, assignments), where="--set")
+
+
 def as_record(cls: type[T], given: T | Mapping[str, Any]) -> T:
     """A record as it is, or parsed from a table of its fields.
 

@@ -236,7 +236,7 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
     assert cli.main(["refine", "run", "--out", "o", *options, "--set", "weights.alpha=2", "opacity=0.5"]) == 0
     (first, keywords), (second, more) = calls
     assert first == ("run", "o", config.parse(Refinement, PRESETS["fast"]))
-    assert keywords == {"mesh": None, "resume": False}
+    assert keywords == {}
     assert (second[2].steps, second[2].faces, second[2].per_triangle) == (7000, 500, 6)
     assert first[2].keep_free and not second[2].keep_free
     assert (first[2].settle_at, second[2].settle_at) == (SETTLE_AT, SETTLE_AT)

@@ -2,19 +2,20 @@
 
 import argparse
 import errno
-import importlib
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
 from gsjax.cli import environment
+from gsjax.cli.parsers import add_command
 from gsjax.cli.stopping import SIGNALS, Stopping
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.io.packages import check_installed
 
 COMMANDS = (
-    "demo", "scan", "sfm", "scale", "train", "blocks", "mesh", "refine", "texture", "evaluate", "render", "report",
+    "demo", "scan", "sfm", "scale", "train", "blocks", "mesh", "refine", "texture", "eval", "render", "report",
     "compare", "clean", "view", "share", "diagnose", "normals", "masks", "undistort", "convert", "doctor",
 )  # fmt: skip
 """Modules of this package with a command each, in the order of the help."""
@@ -59,10 +60,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code, as `run_guarded` has it; 2 for wrong arguments too.
     """
     try:
-        arguments = parser().parse_args(argv)
+        arguments = vars(parser().parse_args(argv))
     except SystemExit as stop:  # After --help, or with argparse's own message about the arguments.
         return int(stop.code or 0)
-    return run_guarded(lambda: check_installed(*arguments.packages) or arguments.run(arguments))
+    run, packages = arguments.pop("run"), arguments.pop("packages")
+
+    def action() -> int | None:
+        check_installed(*packages)
+        return _show(run(**arguments))
+
+    return run_guarded(action)
+
+
+def _show(result: Any) -> int | None:
+    """Print what a command returns, a record as a table; return an exit code as it is."""
+    if result is None or isinstance(result, int):
+        return result
+    from gsjax.report import tables
+
+    print(tables.record(result) if isinstance(result, dict) else result)
 
 
 def run_guarded(action: Callable[[], int | None]) -> int:
@@ -118,12 +134,12 @@ def _fault_of_the_machine(error: BaseException) -> str | None:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
+    """The parser of all commands; `run` is what carries out the one that was given."""
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     top.add_argument("--version", action=_Version, help="say versions, device and engine, and exit")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Command)
     for name in COMMANDS:
-        importlib.import_module(f"gsjax.cli.{name}").add_to(commands)
+        add_command(commands, name)
     return top
 
 
@@ -131,7 +147,7 @@ class _Version(argparse.Action):
     """Says versions, device and engine without loading jax."""
 
     def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None):
-        super().__init__(option_strings, dest, nargs=0, help=help)
+        super().__init__(option_strings, dest, nargs=0, default=argparse.SUPPRESS, help=help)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from gsjax.io.installation import version_line

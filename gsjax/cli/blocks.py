@@ -1,38 +1,36 @@
 """`gsjax blocks`: a scene too large for one run, in several."""
 
 import argparse
+from collections.abc import Sequence
+from typing import Any
 
-from gsjax.cli.parsers import add_command, count
+from gsjax.cli.parsers import About, count
 from gsjax.cli.train import add_training, training
 
+ABOUT = About(
+    summary="train a large scene block by block, and merge the blocks into one run",
+    description="""
+        Divides a scene by where its cameras stand (OUT/blocks.json), trains a run for each block
+        (OUT/block_1 and so on) with photos from its surroundings, and merges them: OUT/run, which all
+        other commands read. Called again, it continues where it stopped. Several machines share the work
+        where OUT and SCENE are folders that all of them see under one path, each with --only.
+    """,
+    example="gsjax blocks scenes/street --out blocks/street --blocks 4",
+)
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "blocks",
-        _run,
-        summary="train a large scene block by block, and merge the blocks into one run",
-        description="""
-            Divides a scene by where its cameras stand (OUT/blocks.json), trains a run for each block
-            (OUT/block_1 and so on) with photos from its surroundings, and merges them: OUT/run, which all
-            other commands read. Called again, it continues where it stopped. Several machines share the work
-            where OUT and SCENE are folders that all of them see under one path, each with --only.
-        """,
-        example="gsjax blocks scenes/street --out blocks/street --blocks 4",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
     add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to continue")
     add("--blocks", type=count, metavar="N", required=True, help="how many, of as many cameras each")
-    add("--only", type=count, nargs="+", metavar="I", default=(), help="train these blocks alone, counted from 1")
+    add("--only", type=count, nargs="+", metavar="I", help="train these blocks alone, counted from 1")
     add_training(parser, "how long to train each block")
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(scene: str, out: str, blocks: int, only: Sequence[int] = (), **chosen: Any) -> dict[str, Any]:
+    """Train the blocks and merge them."""
     from gsjax import pipeline
-    from gsjax.report import tables
 
-    settings = training(arguments)
-    report = pipeline.blocks(arguments.scene, arguments.out, settings, arguments.blocks, only=arguments.only)
-    print(tables.record(report))
+    return pipeline.blocks(scene, out, training(**chosen), blocks, only=only)

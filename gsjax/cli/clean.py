@@ -1,25 +1,24 @@
 """`gsjax clean`: Gaussians without what hovers about them."""
 
 import argparse
+from typing import Any
 
-from gsjax.cli.parsers import add_command, finite, given_options
+from gsjax.cli.parsers import About, finite
+
+ABOUT = About(
+    summary="take giants and isolated clusters out of Gaussians, or what lies outside a box",
+    description="""
+        Giants fill the picture of the nearest camera; isolated Gaussians are in small clusters apart
+        from all others. Prints how many of each were taken out. They lie in FILE.removed.ply, from
+        where --undo brings them back, and FILE.cleaned.png shows before and after.
+    """,
+    example="gsjax clean runs/garden --crop-to-cameras",
+    packages=("matplotlib",),
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "clean",
-        _run,
-        summary="take giants and isolated clusters out of Gaussians, or what lies outside a box",
-        description="""
-            Giants fill the picture of the nearest camera; isolated Gaussians are in small clusters apart
-            from all others. Prints how many of each were taken out. They lie in FILE.removed.ply, from
-            where --undo brings them back, and FILE.cleaned.png shows before and after.
-        """,
-        example="gsjax clean runs/garden --crop-to-cameras",
-        packages=("matplotlib",),
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", help="what to write (default: the file itself, of a run its gaussians.ply)")
@@ -31,14 +30,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--undo", action="store_true", help="bring back what was taken out of RUN_OR_FILE")
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(source: str, undo: bool = False, **options: Any) -> dict[str, Any]:
+    """Clean, or bring back what was taken out."""
     from gsjax import pipeline
     from gsjax.errors import InputError
-    from gsjax.pipeline.clean import undo
-    from gsjax.report import tables
+    from gsjax.pipeline.clean import undo as bring_back
 
-    options = given_options(arguments, "out", "scene", "crop_to_cameras", "box", "sphere")
-    if arguments.undo and options:
+    if undo and options:
         raise InputError("--undo goes without other options: it brings back all that was taken out of RUN_OR_FILE")
-    report = undo(arguments.source) if arguments.undo else pipeline.clean(arguments.source, **options)
-    print(tables.record(report))
+    return bring_back(source) if undo else pipeline.clean(source, **options)

@@ -2,23 +2,22 @@
 
 import argparse
 import sys
+from typing import Any
 
-from gsjax.cli.parsers import add_command, given_options
+from gsjax.cli.parsers import About
+
+ABOUT = About(
+    summary="write Gaussians as a file for other programs, or read theirs",
+    description="""
+        Reads and writes by suffix: .ply as 3DGS has it, .compressed.ply and .sog of PlayCanvas, .spz of
+        Niantic (written as version 3, read as 2, 3 and 4). The pixel filter goes along in each of them.
+    """,
+    example="gsjax convert runs/garden garden.spz --min-opacity 0.02",
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "convert",
-        _run,
-        summary="write Gaussians as a file for other programs, or read theirs",
-        description="""
-            Reads and writes by suffix: .ply as 3DGS has it, .compressed.ply and .sog of PlayCanvas, .spz of
-            Niantic (written as version 3, read as 2, 3 and 4). The pixel filter goes along in each of them.
-        """,
-        example="gsjax convert runs/garden garden.spz --min-opacity 0.02",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="IN", help="file of Gaussians, or folder that `gsjax train` made")
     add("out", metavar="OUT", help=".ply, .compressed.ply, .sog or .spz")
@@ -28,16 +27,14 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--min-opacity", type=float, metavar="A", help="only Gaussians at least so opaque, 0-1")
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(source: str, out: str, **options: Any) -> dict[str, Any]:
+    """Convert, and report on stderr what the format cannot hold."""
     from gsjax import pipeline
-    from gsjax.report import tables
 
-    options = given_options(arguments, "sh_degree", "crop", "min_opacity")
-    figures = pipeline.convert(arguments.source, arguments.out, **options)
+    figures = pipeline.convert(source, out, **options)
     if figures["clipped"]:
-        print(f"{arguments.out}: {figures['clipped']} of {figures['gaussians']} Gaussians hold values beyond what the"
-            " format reaches without taking precision from the others; they were clipped", file=sys.stderr)  # fmt: skip
+        print(f"{out}: {figures['clipped']} of {figures['gaussians']} Gaussians hold values beyond what the format"
+            " reaches without taking precision from the others; they were clipped", file=sys.stderr)  # fmt: skip
     if figures["stored_at"]:
-        print(f"{arguments.out}: holds {figures['stored_at']}, as {arguments.out}.similarity.json beside it tells",
-            file=sys.stderr)  # fmt: skip
-    print(tables.record(figures))
+        print(f"{out}: holds {figures['stored_at']}, as {out}.similarity.json beside it tells", file=sys.stderr)
+    return figures

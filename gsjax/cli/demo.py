@@ -2,35 +2,34 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command
+from gsjax.cli.parsers import About
 
 SHOWN = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency",
          "gaussians", "seconds")  # fmt: skip
 
+ABOUT = About(
+    summary="train and mesh a built-in scene with and without the normal term, and compare",
+    description="""
+        Renders a built-in scene with exact depth and normals, trains it twice from the same start
+        (vanilla, and with the normal term), extracts both meshes and writes report.json and pictures
+        side by side. Needs no data and takes minutes on a CPU.
+    """,
+    example="gsjax demo --out runs/demo",
+    packages=("open3d", "trimesh", "pycolmap", "matplotlib"),
+)
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "demo",
-        _run,
-        summary="train and mesh a built-in scene with and without the normal term, and compare",
-        description="""
-            Renders a built-in scene with exact depth and normals, trains it twice from the same start
-            (vanilla, and with the normal term), extracts both meshes and writes report.json and pictures
-            side by side. Needs no data and takes minutes on a CPU.
-        """,
-        example="gsjax demo --out runs/demo",
-        packages=("open3d", "trimesh", "pycolmap", "matplotlib"),
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     parser.add_argument("--out", metavar="DIR", default="runs/demo", help="folder for the results (default: runs/demo)")
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(out: str) -> str:
+    """Train, mesh and compare; return the table."""
     from gsjax.pipeline import demo
     from gsjax.report import tables
 
-    report = demo.run(arguments.out)
+    report = demo.run(out)
     rows = {"vanilla": report["vanilla"], "surface": report["surface"], tables.FLOOR: report["floor"]}
-    print(tables.compare({name: {key: row[key] for key in SHOWN if key in row} for name, row in rows.items()}))
-    print(f"report and pictures: {arguments.out}")
+    table = tables.compare({name: {key: row[key] for key in SHOWN if key in row} for name, row in rows.items()})
+    return f"{table}\nreport and pictures: {out}"

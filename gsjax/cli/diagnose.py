@@ -1,26 +1,25 @@
 """`gsjax diagnose`: which effects the photos of a data set show."""
 
 import argparse
+from typing import Any
 
-from gsjax.cli.parsers import add_command, finite, given_options
+from gsjax.cli.parsers import About, finite
+
+ABOUT = About(
+    summary="report which effects the photos of a data set show",
+    description="""
+        Reads every photo once, and the tracks of structure from motion where there are any:
+        exposure and white balance, vignetting, background, open sky, poses, transients, blur. Prints for
+        each the evidence with its noise, the threshold, the decision, and why; and how far apart the
+        photos stand. Maps that `gsjax normals` made are judged too: whether photos of the same place
+        agree. Nothing is trained. What cannot be judged is off, and says so.
+    """,
+    example="gsjax diagnose scenes/garden --json garden.json",
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "diagnose",
-        _run,
-        summary="report which effects the photos of a data set show",
-        description="""
-            Reads every photo once, and the tracks of structure from motion where there are any:
-            exposure and white balance, vignetting, background, open sky, poses, transients, blur. Prints for
-            each the evidence with its noise, the threshold, the decision, and why; and how far apart the
-            photos stand. Maps that `gsjax normals` made are judged too: whether photos of the same place
-            agree. Nothing is trained. What cannot be judged is off, and says so.
-        """,
-        example="gsjax diagnose scenes/garden --json garden.json",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
     add("--json", metavar="FILE", help="also write it here, and pictures of the evidence next to it (.png)")
@@ -28,14 +27,13 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: found by name)")
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(scene: str, **options: Any) -> str:
+    """Diagnose; return the tables."""
     from gsjax.pipeline.diagnose import apart_line, diagnose, normals_rows, rows
-    from gsjax.report import tables
+    from gsjax.report.tables import align_columns
 
-    record = diagnose(arguments.scene, **given_options(arguments, "json", "downscale", "images"))
-    print(tables.align_columns(rows(record)))
-    print()
-    print(apart_line(record["apart"]))
-    if normals_rows(record):
-        print()
-        print(tables.align_columns(normals_rows(record)))
+    record = diagnose(scene, **options)
+    parts = [align_columns(rows(record)), apart_line(record["apart"])]
+    if normals := normals_rows(record):
+        parts.append(align_columns(normals))
+    return "\n\n".join(parts)

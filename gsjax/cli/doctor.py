@@ -2,40 +2,39 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command
+from gsjax.cli.parsers import About
+
+ABOUT = About(
+    summary="check libraries, device, engine, memory, disk and cache, and say what to type",
+    description="""
+        Loads each library that gsjax needs and compares its version, asks jax for its device and
+        the rasterizer for its engine, and checks memory, disk and the folder of compiled programs.
+        Where something is amiss, a line says what to type. Ends with code 0 if all is well, else 1.
+    """,
+    example="gsjax doctor --json",
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "doctor",
-        _run,
-        summary="check libraries, device, engine, memory, disk and cache, and say what to type",
-        description="""
-            Loads each library that gsjax needs and compares its version, asks jax for its device and
-            the rasterizer for its engine, and checks memory, disk and the folder of compiled programs.
-            Where something is amiss, a line says what to type. Ends with code 0 if all is well, else 1.
-        """,
-        example="gsjax doctor --json",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 
 
-def _run(arguments: argparse.Namespace) -> int:
-    import json
+def run(json: bool = False) -> int:
+    """Print the findings; return the exit code."""
     from dataclasses import asdict
+    from json import dumps
 
     from gsjax.io.installation import examine
 
     findings = []
     for finding in examine():
         findings.append(finding)
-        if not arguments.json:
+        if not json:
             print(f"{'ok ' if finding.is_fine else 'BAD'}  {finding.name:<32}{finding.told}", flush=True)
             if not finding.is_fine:
                 print(f"     {'':<32}type: {finding.remedy}")
     is_well = all(finding.is_fine for finding in findings)
-    if arguments.json:
-        print(json.dumps({"is_well": is_well, "findings": [asdict(finding) for finding in findings]}, indent=2))
+    if json:
+        print(dumps({"is_well": is_well, "findings": [asdict(finding) for finding in findings]}, indent=2))
     return 0 if is_well else 1

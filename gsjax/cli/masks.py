@@ -2,42 +2,38 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given_options
+from gsjax.cli.parsers import About
+
+ABOUT = About(
+    summary="masks that leave out people, sky and the like, from a network that you have as an ONNX file",
+    description="""
+        Runs a segmentation network on every photo and writes PHOTOS/masks/NAME.png: 0 where the photo
+        shows one of the classes, 255 elsewhere. `gsjax sfm`, `gsjax train` and `gsjax mesh` use only
+        the rest. No weights come with gsjax: docs/tasks/masks.md says where to get them, under which
+        licence, and how a record describes another network.
+    """,
+    example="gsjax masks photos/ --network pphumanseg --weights human_segmentation_pphumanseg_2023mar.onnx",
+    packages=("onnxruntime", "cv2"),
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "masks",
-        _run,
-        summary="masks that leave out people, sky and the like, from a network that you have as an ONNX file",
-        description="""
-            Runs a segmentation network on every photo and writes PHOTOS/masks/NAME.png: 0 where the photo
-            shows one of the classes, 255 elsewhere. `gsjax sfm`, `gsjax train` and `gsjax mesh` use only
-            the rest. No weights come with gsjax: docs/tasks/masks.md says where to get them, under which
-            licence, and how a record describes another network.
-        """,
-        example="gsjax masks photos/ --network pphumanseg --weights human_segmentation_pphumanseg_2023mar.onnx",
-        packages=("onnxruntime", "cv2"),
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `gsjax.pipeline.masks` takes."""
     add = parser.add_argument
     add("photos", metavar="PHOTOS_OR_SCENE", help="folder of photos, or of a data set")
     add("--network", metavar="NAME", required=True, help="pphumanseg, u2net, skyseg, or a JSON file that describes"
         " another one")  # fmt: skip
     add("--weights", metavar="FILE", required=True, help="the network as an ONNX file")
-    add("--classes", metavar="A,B", help="what to leave out (default: the only class that is not background)")
-    add("--invert", action="store_true", default=None, help="leave out everything else instead")
+    add(
+        "--classes",
+        type=_names,
+        metavar="A,B",
+        help="what to leave out (default: the only class that is not background)",
+    )
+    add("--invert", action="store_true", help="leave out everything else instead")
     add("--out", metavar="DIR", help="folder to make; absent or empty (default: PHOTOS_OR_SCENE/masks)")
     add("--images", metavar="FOLDER", help="of a data set, the folder of the photos (default: found by name)")
 
 
-def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline
-    from gsjax.report import tables
-
-    options = given_options(arguments, "invert", "images")
-    if arguments.classes is not None:
-        options["classes"] = [name.strip() for name in arguments.classes.split(",")]
-    report = pipeline.masks(arguments.photos, arguments.network, arguments.weights, arguments.out, **options)
-    print(tables.record(report))
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]

@@ -1,29 +1,36 @@
 """`gsjax mesh`: Gaussians to a mesh."""
 
 import argparse
+from functools import partial
+from typing import Any
 
-from gsjax.cli.parsers import add_command, finite, given_options
+from gsjax.cli.parsers import About, finite
 
 BOX = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "mesh",
-        _run,
-        summary="extract a mesh from a run or from any file of Gaussians",
-        description="""
-            Leaves out Gaussians that hang in the air, finds points of the surface along the cameras' rays,
-            reconstructs a mesh from them (Poisson), trims what no point supports and colours the vertices.
-            Where the training photos exist, the vertices then move to where these agree. A file alone
-            has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
-        """,
-        example="gsjax mesh runs/garden --out garden.glb",
-        packages=("open3d", "trimesh"),
-        listing=_methods,
-    )
+def _methods() -> str:
+    from gsjax.meshing.methods import methods_help
+
+    return methods_help()
+
+
+ABOUT = About(
+    summary="extract a mesh from a run or from any file of Gaussians",
+    description="""
+        Leaves out Gaussians that hang in the air, finds points of the surface along the cameras' rays,
+        reconstructs a mesh from them (Poisson), trims what no point supports and colours the vertices.
+        Where the training photos exist, the vertices then move to where these agree. A file alone
+        has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
+    """,
+    example="gsjax mesh runs/garden --out garden.glb",
+    packages=("open3d", "trimesh"),
+    listing=_methods,
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
@@ -51,21 +58,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " where its data set is, if it was moved")  # fmt: skip
 
 
-def _methods() -> str:
-    from gsjax.meshing.methods import methods_help
-
-    return methods_help()
-
-
-def _run(arguments: argparse.Namespace) -> None:
+def run(source: str, **options: Any) -> dict[str, Any]:
+    """Extract the mesh, and note the figures in the run."""
     from gsjax import pipeline
-    from gsjax.report import tables
 
-    options = given_options(
-        arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",
-        "foreground_only", "faces", "scene", "settled", "holes_filled", "keep_floaters",
-    )  # fmt: skip
-    figures = pipeline.noted(
-        arguments.source, "mesh", lambda: pipeline.mesh(arguments.source, arguments.out, **options)
-    )
-    print(tables.record(figures))
+    return pipeline.noted(source, "mesh", partial(pipeline.mesh, source, **options))

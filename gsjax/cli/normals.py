@@ -2,26 +2,24 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, finite, given_options
+from gsjax.cli.parsers import About, finite
+
+ABOUT = About(
+    summary="normal maps of the photos, from a network that you have as an ONNX file",
+    description="""
+        Runs a monocular network on every photo as training sees it (undistorted) and writes a map
+        a photo into DIR, for `gsjax train SCENE --normals NETWORK`. What the same weights have made
+        before is kept, so a stopped run continues. Depth of a network for depth is fitted to the tracks of
+        structure from motion, and its normals are taken. No weights come with gsjax: docs/normals.md says
+        where each network's are, under which licence, and how a record describes another network.
+    """,
+    example="gsjax normals scenes/garden --network moge2 --weights moge-2-vitb-normal.onnx",
+    packages=("onnxruntime", "cv2"),
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "normals",
-        _run,
-        summary="normal maps of the photos, from a network that you have as an ONNX file",
-        description="""
-            Runs a monocular network on every photo as training sees it (undistorted) and writes a map
-            a photo into DIR, for `gsjax train SCENE --normals NETWORK`. What the same weights have made
-            before is kept, so a stopped run continues. Depth of a network for depth is fitted to the tracks of
-            structure from motion, and its normals are taken. No weights come with gsjax: docs/normals.md says
-            where each network's are, under which licence, and how a record describes another network.
-        """,
-        example="gsjax normals scenes/garden --network moge2 --weights moge-2-vitb-normal.onnx",
-        packages=("onnxruntime", "cv2"),
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `gsjax.pipeline.normals` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
     add("--network", metavar="NAME", required=True, help="moge2, metric3d, omnidata, dsine; for depth midas,"
@@ -31,12 +29,3 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--downscale", type=finite, metavar="K", help="make the maps K times smaller than the photos (default: to 1600"
         " pixels)")  # fmt: skip
     add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: found by name)")
-
-
-def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline
-    from gsjax.report import tables
-
-    options = given_options(arguments, "downscale", "images")
-    report = pipeline.normals(arguments.scene, arguments.network, arguments.weights, arguments.out, **options)
-    print(tables.record(report))

@@ -1,10 +1,13 @@
 """How every command's help looks: what goes in and comes out, the options, one example."""
 
 import argparse
+import importlib
 import inspect
 import math
 import re
 from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
 
 from gsjax.errors import InputError
 from gsjax.scene.georeference import parse_length
@@ -12,52 +15,56 @@ from gsjax.scene.georeference import parse_length
 UNITS = {"s": 1, "m": 60, "h": 3600}
 
 
-def add_command(
-    commands: argparse._SubParsersAction,
-    name: str,
-    run: Callable[[argparse.Namespace], int | None],
-    *,
-    summary: str,
-    description: str,
-    example: str,
-    packages: tuple[str, ...] = (),
-    listing: Callable[[], str] | None = None,
-) -> argparse.ArgumentParser:
-    """Adds a command that `run` carries out, whose exit code may be its own; the caller adds its arguments.
+class About(NamedTuple):
+    """The help of a command."""
 
-    `packages` are those of the extras that the command cannot do without: it ends at once where one is absent. The help
-    has what `listing` returns before the example. It is called when the help is printed: its imports delay no
-    command.
+    summary: str
+    description: str
+    example: str
+    packages: tuple[str, ...] = ()  # of extras, without one of which the command ends at once
+    listing: Callable[[], str] | None = None  # stands before the example; called when the help is printed
+
+
+def add_command(commands: argparse._SubParsersAction, name: str) -> None:
+    """Add a command: its module in `gsjax.cli` has `ABOUT`, and `add_arguments` for its parser.
+
+    The module's `run` gets the arguments that were given, by name; their defaults are those of the library. What it
+    returns is printed, unless it is None or an exit code. Without `run`, the function of this name in `gsjax.pipeline`
+    does the work.
     """
+    module = importlib.import_module(f"gsjax.cli.{name}")
+    about: About = module.ABOUT
     parser = commands.add_parser(
         name,
-        help=summary,
-        description=inspect.cleandoc(description),
-        epilog=f"example:\n  {example}",
+        help=about.summary,
+        description=inspect.cleandoc(about.description),
+        epilog=f"example:\n  {about.example}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
+        argument_default=argparse.SUPPRESS,
     )
-    parser.set_defaults(run=run, packages=packages)
-    if listing is not None:
-        usual = parser.format_help
+    parser.set_defaults(run=getattr(module, "run", partial(_call_library, name)), packages=about.packages)
+    module.add_arguments(parser)
+    if about.listing is not None:
+        parser.format_help = partial(_format_with_listing, parser, about, parser.format_help)
 
-        def format_help() -> str:
-            parser.epilog = f"{listing()}\n\nexample:\n  {example}"
-            return usual()
 
-        parser.format_help = format_help
-    return parser
+def _call_library(name: str, **arguments: Any) -> Any:
+    from gsjax import pipeline
+
+    return getattr(pipeline, name)(**arguments)
+
+
+def _format_with_listing(parser: argparse.ArgumentParser, about: About, usual: Callable[[], str]) -> str:
+    assert about.listing is not None
+    parser.epilog = f"{about.listing()}\n\nexample:\n  {about.example}"
+    return usual()
 
 
 def add_moved_scene(parser: argparse.ArgumentParser) -> None:
     """Add `--scene`, where the data set of a run is now."""
     parser.add_argument("--scene", metavar="SCENE", dest="scene_folder", help="where the data set of RUN is, if it was"
         " moved since the training")  # fmt: skip
-
-
-def given_options(arguments: argparse.Namespace, *names: str) -> dict:
-    """The named options that the user gave: the defaults of the others are the library's."""
-    return {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
 
 
 def count(text: str) -> int:

@@ -1,28 +1,28 @@
 """`gsjax refine`: a mesh and Gaussians bound to it, trained together."""
 
 import argparse
+from collections.abc import Sequence
+from typing import Any
 
-from gsjax.cli.parsers import add_command, add_moved_scene, given_options
+from gsjax.cli.parsers import About, add_moved_scene
 
 PRESETS = ("fast", "balanced", "medium", "long")
 
+ABOUT = About(
+    summary="refine a mesh with Gaussians bound to it",
+    description="""
+        Puts flat Gaussians on the triangles of a mesh and trains them and its vertices together on
+        the photos of RUN. Gaussians of RUN stay, free, where there is no mesh. Writes OUT/mesh.ply
+        and OUT/mesh.glb, OUT/gaussians.ply and OUT/report.json. OUT is a run folder: `gsjax eval OUT`
+        and `gsjax render OUT` take it.
+    """,
+    example="gsjax refine runs/garden --mesh garden.ply --out runs/garden_refined",
+    packages=("open3d", "trimesh"),
+)
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "refine",
-        _run,
-        summary="refine a mesh with Gaussians bound to it",
-        description="""
-            Puts flat Gaussians on the triangles of a mesh and trains them and its vertices together on
-            the photos of RUN. Gaussians of RUN stay, free, where there is no mesh. Writes OUT/mesh.ply
-            and OUT/mesh.glb, OUT/gaussians.ply and OUT/report.json. OUT is a run folder: `gsjax eval OUT`
-            and `gsjax render OUT` take it.
-        """,
-        example="gsjax refine runs/garden --mesh garden.ply --out runs/garden_refined",
-        packages=("open3d", "trimesh"),
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("run_folder", metavar="RUN", help="folder that `gsjax train` made")
     add("--mesh", metavar="FILE", help="the mesh; .ply, .obj or .glb (default: RUN/mesh.ply)")
@@ -43,24 +43,24 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
     add_moved_scene(parser)
-    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
+    add("--set", metavar="KEY=VALUE", action="extend", nargs="+", dest="assignments",
         help="any setting by its dotted key, as OUT/config.json shows them; may be repeated")  # fmt: skip
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(
+    run_folder: str,
+    out: str,
+    preset: str = "fast",
+    settled: bool | None = None,
+    assignments: Sequence[str] = (),
+    **options: Any,
+) -> dict[str, Any]:
+    """Refine with the settings of the preset, the options, then `--set`."""
     from gsjax import config, pipeline
     from gsjax.binding.refinement import PRESETS, SETTLE_AT, Refinement
-    from gsjax.report import tables
 
-    options = given_options(arguments, "steps", "faces", "per_triangle", "keep_free", "seed")
-    if arguments.settled is not None:
-        options["settle_at"] = SETTLE_AT if arguments.settled else 1.0
-    chosen = config.merge(PRESETS[arguments.preset or "fast"], options)
-    whole = config.to_dict(config.parse(Refinement, chosen, where="settings"))
-    assignments = [one for group in arguments.assignments for one in group]
-    settings = config.parse(Refinement, config.override(whole, assignments), where="--set")
-    more = given_options(arguments, "scene_folder")
-    report = pipeline.refine(
-        arguments.run_folder, arguments.out, settings, mesh=arguments.mesh, resume=arguments.resume, **more
-    )
-    print(tables.record(report))
+    handed = {name: options.pop(name) for name in ("mesh", "resume", "scene_folder") if name in options}
+    if settled is not None:
+        options["settle_at"] = SETTLE_AT if settled else 1.0
+    settings = config.parse_overridden(Refinement, config.merge(PRESETS[preset], options), assignments)
+    return pipeline.refine(run_folder, out, settings, **handed)

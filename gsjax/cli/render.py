@@ -1,26 +1,25 @@
 """`gsjax render`: pictures or a film of a run, of Gaussians or of a mesh."""
 
 import argparse
+from typing import Any
 
-from gsjax.cli.parsers import add_command, finite, given_options
+from gsjax.cli.parsers import About, finite
+
+ABOUT = About(
+    summary="render pictures or a film of a run, of Gaussians or of a mesh",
+    description="""
+        Writes colour, depth and normals of every view of a run, of its held-out views, or from a
+        circle around the scene as PNG files. With --turntable, --through-photos or --path and an
+        output that ends in .mp4, .webm or .gif it writes a film. A file of Gaussians (.ply,
+        .compressed.ply, .sog, .spz) is seen from cameras placed around it. A mesh (.ply, .obj, .glb)
+        is seen from outside, with its texture or its vertex colours: a room is seen through its walls.
+    """,
+    example="gsjax render runs/garden --out film.mp4 --turntable",
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "render",
-        _run,
-        summary="render pictures or a film of a run, of Gaussians or of a mesh",
-        description="""
-            Writes colour, depth and normals of every view of a run, of its held-out views, or from a
-            circle around the scene as PNG files. With --turntable, --through-photos or --path and an
-            output that ends in .mp4, .webm or .gif it writes a film. A file of Gaussians (.ply,
-            .compressed.ply, .sog, .spz) is seen from cameras placed around it. A mesh (.ply, .obj, .glb)
-            is seen from outside, with its texture or its vertex colours: a room is seen through its walls.
-        """,
-        example="gsjax render runs/garden --out film.mp4 --turntable",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     parser.add_argument(
         "source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, a file of Gaussians, or a mesh"
     )
@@ -46,11 +45,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     )
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(**options: Any) -> str:
+    """Render; return where."""
     from gsjax import pipeline
 
-    options = given_options(arguments, "views", "path", "what", "seconds", "fps", "size", "up")
-    print(f"rendered: {pipeline.render(arguments.source, arguments.out, **options)}")
+    return f"rendered: {pipeline.render(**options)}"
 
 
 def _size(text: str) -> tuple[int, int]:

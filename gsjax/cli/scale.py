@@ -1,25 +1,24 @@
 """`gsjax scale`: a known length to the unit of a scene or a run."""
 
 import argparse
+from typing import Any
 
-from gsjax.cli.parsers import add_command, finite, metres
+from gsjax.cli.parsers import About, finite, metres
+
+ABOUT = About(
+    summary="measure between two pixels, and bring a scene or a run to metres by a known length",
+    description="""
+        Takes what two photos show at two pixels, as the triangulated points of a scene or the
+        rendered depth of a run have it, and prints the distance. With --is, lengths are in metres
+        from then on: a scene is also turned upright by its cameras (SCENE/place.json, no other file
+        changes), the files of a run are written anew. Without --is nothing is changed.
+    """,
+    example="gsjax scale scenes/garden --between 0001.jpg 310 722 0001.jpg 840 715 --is 1.25m",
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "scale",
-        _run,
-        summary="measure between two pixels, and bring a scene or a run to metres by a known length",
-        description="""
-            Takes what two photos show at two pixels, as the triangulated points of a scene or the
-            rendered depth of a run have it, and prints the distance. With --is, lengths are in metres
-            from then on: a scene is also turned upright by its cameras (SCENE/place.json, no other file
-            changes), the files of a run are written anew. Without --is nothing is changed.
-        """,
-        example="gsjax scale scenes/garden --between 0001.jpg 310 722 0001.jpg 840 715 --is 1.25m",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     pixels = ("PHOTO", "X", "Y", "PHOTO", "X", "Y")
     parser.add_argument("source", metavar="SCENE_OR_RUN", help="folder of a data set, or that `gsjax train` made")
     parser.add_argument(
@@ -34,16 +33,16 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     )
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(source: str, between: list[str], metres: float | None = None) -> dict[str, Any]:
+    """Measure, and rescale where the length is given."""
     from gsjax import pipeline
     from gsjax.errors import InputError
-    from gsjax.report import tables
     from gsjax.runs.pixel_to_point import Pixel
 
-    texts, pixels = arguments.between, []
-    for photo, x, y in (texts[:3], texts[3:]):
+    pixels = []
+    for photo, x, y in (between[:3], between[3:]):
         try:
             pixels.append(Pixel(photo, finite(x), finite(y)))
         except argparse.ArgumentTypeError:
             raise InputError(f"--between: {photo} {x} {y} is not a photo and a pixel") from None
-    print(tables.record(pipeline.scale(arguments.source, pixels, arguments.metres)))
+    return pipeline.scale(source, pixels, metres)

@@ -1,29 +1,28 @@
 """`gsjax scan`: photos or a video to a textured mesh, all stages in one go."""
 
 import argparse
+from typing import Any
 
-from gsjax.cli.parsers import add_command
-from gsjax.cli.sfm import add_reconstruction, print_if_small, reconstruction, tell_unused
-from gsjax.cli.train import add_training, training
+from gsjax.cli.parsers import About
+from gsjax.cli.sfm import add_reconstruction, print_unused, small_model
+from gsjax.cli.train import TRAINING, add_training, training
 from gsjax.presets import REFINED_BY
 
+ABOUT = About(
+    summary="photos or a video to a textured mesh, all stages in one go",
+    description="""
+        Runs sfm, train, mesh --method auto, refine and texture, and leaves OUT/scene, OUT/run with its mesh.ply,
+        OUT/refined, OUT/mesh.glb, OUT/overview.png and OUT/report.json. Called again, it continues
+        where it stopped. A data set that has camera poses already begins with train. Photos are reconstructed as
+        `gsjax sfm` does it, with the same options.
+    """,
+    example="gsjax scan photos/ --out scans/garden",
+    packages=("open3d", "trimesh", "matplotlib"),
+)
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "scan",
-        _run,
-        summary="photos or a video to a textured mesh, all stages in one go",
-        description="""
-            Runs sfm, train, mesh --method auto, refine and texture, and leaves OUT/scene, OUT/run with its mesh.ply,
-            OUT/refined, OUT/mesh.glb, OUT/overview.png and OUT/report.json. Called again, it continues
-            where it stopped. A data set that has camera poses already begins with train. Photos are reconstructed as
-            `gsjax sfm` does it, with the same options.
-        """,
-        example="gsjax scan photos/ --out scans/garden",
-        packages=("open3d", "trimesh", "matplotlib"),
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="PHOTOS_OR_VIDEO", help="folder of photos, a video, or a data set")
     add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to continue")
@@ -31,20 +30,21 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add_training(parser, "how long to train and refine")
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(source: str, out: str, preset: str, **options: Any) -> str:
+    """Run all stages; return the table of them."""
     from gsjax import config, pipeline
     from gsjax.binding.refinement import PRESETS as REFINEMENTS
     from gsjax.binding.refinement import Refinement
     from gsjax.pipeline.scan import table
     from gsjax.report import tables
 
-    settings = training(arguments)
-    length = REFINEMENTS[REFINED_BY[arguments.preset]]
+    chosen = {name: options.pop(name) for name in TRAINING if name in options}
+    settings = training(preset, **chosen)
+    length = REFINEMENTS[REFINED_BY[preset]]
     refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
-    report = pipeline.scan(arguments.source, arguments.out, settings, refinement, **reconstruction(arguments))
+    report = pipeline.scan(source, out, settings, refinement, **options)
+    lines = [tables.compare(table(report)), f"mesh: {report['mesh']}, picture: {report['picture']}"]
     if "sfm" in report["stages"]:
-        tell_unused(report["stages"]["sfm"])
-    print(tables.compare(table(report)))
-    print(f"mesh: {report['mesh']}, picture: {report['picture']}")
-    if "sfm" in report["stages"]:
-        print_if_small(report["stages"]["sfm"])
+        print_unused(report["stages"]["sfm"])
+        lines += small_model(report["stages"]["sfm"])
+    return "\n".join(lines)

@@ -5,28 +5,26 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from gsjax.cli.parsers import add_command, finite, given_options
+from gsjax.cli.parsers import About, finite
+
+ABOUT = About(
+    summary="make a data set (COLMAP) from bare photos or a video",
+    description="""
+        Finds where each photo was taken (features, matching, incremental mapping), removes the lens
+        distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
+        the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
+        error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
+        (PHOTOS/masks) are kept. With GPS in the photos (EXIF) the scene is in metres,
+        x east, y north, z up, and SCENE/place.json says about which origin. Features are SIFT's unless
+        you have the weights of a network (docs/tasks/hard_photos.md).
+    """,
+    example="gsjax sfm photos/ --out scenes/garden",
+    packages=("pycolmap", "cv2"),
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "sfm",
-        _run,
-        summary="make a data set (COLMAP) from bare photos or a video",
-        description="""
-            Finds where each photo was taken (features, matching, incremental mapping), removes the lens
-            distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
-            the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
-            error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
-            (PHOTOS/masks) are kept. With GPS in the photos (EXIF) the scene is in metres,
-            x east, y north, z up, and SCENE/place.json says about which origin. Features are SIFT's unless
-            you have the weights of a network (docs/tasks/hard_photos.md).
-        """,
-        example="gsjax sfm photos/ --out scenes/garden",
-        packages=("pycolmap", "cv2"),
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     parser.add_argument(
         "photos", metavar="PHOTOS_OR_VIDEO", help="folder of overlapping photos of one still scene, or a video of it"
     )
@@ -35,9 +33,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def add_reconstruction(parser: argparse.ArgumentParser) -> None:
-    """How photos become a data set; `reconstruction` reads it."""
+    """Add the options of `gsjax.io.sfm.reconstruct`."""
     add = parser.add_argument
-    add("--panoramas", action="store_true", default=None, help="the photos, or the video, are"
+    add("--panoramas", action="store_true", help="the photos, or the video, are"
         " equirectangular: 360 degrees across, 180 down")  # fmt: skip
     add("--mask-below", metavar="DEGREES", type=finite, help="of panoramas, mask what is so far and"
         " farther below the horizon, where the operator is")  # fmt: skip
@@ -49,13 +47,8 @@ def add_reconstruction(parser: argparse.ArgumentParser) -> None:
     add("--frames", metavar="N", type=int, help="frames to take of a video (default: 100)")
 
 
-def reconstruction(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What was given of it, as options of `gsjax.io.sfm.reconstruct`."""
-    return given_options(arguments, "frames", "panoramas", "mask_below", "features", "weights", "matcher_weights")
-
-
-def tell_unused(report: Mapping[str, Any]) -> None:
-    """Names the photos without a pose, GPS or focal length, and the files that are no photos, a line a reason.
+def print_unused(report: Mapping[str, Any]) -> None:
+    """Name the photos without a pose, GPS or focal length, and the files that are no photos, a line a reason.
 
     Another line says which model is kept where there were two.
 
@@ -75,28 +68,25 @@ def tell_unused(report: Mapping[str, Any]) -> None:
         print(f"gsjax: {line}", file=sys.stderr)
 
 
-def print_if_small(report: Mapping[str, Any]) -> None:
-    """Print, as the last line of a command, that less than half of the photos have a pose.
-
-    Args:
-        report: As of `tell_unused`.
-    """
-    if 2 * report["registered"] < report["images"]:
-        print(
-            f"only {report['registered']} of {report['images']} photos are in the model, less than half: see the"
-            " photos left out above, and docs/tasks/hard_photos.md"
-        )
+def small_model(report: Mapping[str, Any]) -> list[str]:
+    """The last line of a command where less than half of the photos have a pose."""
+    if 2 * report["registered"] >= report["images"]:
+        return []
+    return [
+        f"only {report['registered']} of {report['images']} photos are in the model, less than half: see the"
+        " photos left out above, and docs/tasks/hard_photos.md"
+    ]
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(photos: str, out: str, **options: Any) -> str:
+    """Reconstruct; return the table."""
     from dataclasses import asdict
 
     from gsjax.io import sfm
     from gsjax.report import tables
 
-    report = asdict(sfm.reconstruct(arguments.photos, arguments.out, **reconstruction(arguments)))
-    tell_unused(report)
+    report = asdict(sfm.reconstruct(photos, out, **options))
+    print_unused(report)
     counts = {name: len(report[name]) for name in ("left_out", "passed_over", "gps_unused", "focal_unused")}
     figures = {name: value for name, value in (report | counts).items() if name != "second_mapping"}
-    print(tables.record(figures))
-    print_if_small(report)
+    return "\n".join([tables.record(figures), *small_model(report)])

@@ -2,26 +2,25 @@
 
 import argparse
 import sys
+from typing import Any
 
-from gsjax.cli.parsers import add_command, count, given_options
+from gsjax.cli.parsers import About, count
 
 LARGE = 100_000_000  # bytes of a page that mail and many browsers have trouble with
 
+ABOUT = About(
+    summary="write one page that shows the result in any browser",
+    description="""
+        Writes one HTML file with a viewer, the Gaussians, a dozen of the photos' cameras, and the mesh of the
+        run behind a switch. It needs no network and no server: open it, or send it.
+    """,
+    example="gsjax share runs/garden --out garden.html",
+    packages=("jinja2",),
+)
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "share",
-        _run,
-        summary="write one page that shows the result in any browser",
-        description="""
-            Writes one HTML file with a viewer, the Gaussians, a dozen of the photos' cameras, and the mesh of the
-            run behind a switch. It needs no network and no server: open it, or send it.
-        """,
-        example="gsjax share runs/garden --out garden.html",
-        packages=("jinja2",),
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="PAGE.html", required=True, help="the page")
@@ -31,13 +30,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--sh-degree", type=int, metavar="N", help="leave out harmonics above this degree, 0-3, for a smaller page")
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(source: str, out: str, **options: Any) -> dict[str, Any]:
+    """Write the page, and report on stderr that it is large."""
     from gsjax import pipeline
-    from gsjax.report import tables
 
-    options = given_options(arguments, "title", "mesh", "max_gaussians", "sh_degree")
-    figures = pipeline.share(arguments.source, arguments.out, **options)
+    figures = pipeline.share(source, out, **options)
     if figures["bytes"] > LARGE:
-        print(f"{arguments.out}: is {figures['bytes'] / 1e6:.0f} MB, which many browsers and mail programs refuse;"
+        print(f"{out}: is {figures['bytes'] / 1e6:.0f} MB, which many browsers and mail programs refuse;"
             " --max-gaussians N or --sh-degree 0 make it smaller", file=sys.stderr)  # fmt: skip
-    print(tables.record(figures))
+    return figures

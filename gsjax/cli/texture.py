@@ -2,23 +2,21 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given_options
+from gsjax.cli.parsers import About
+
+ABOUT = About(
+    summary="paint a mesh with what the Gaussians show",
+    description="""
+        Lays a mesh out in a square texture and gives every texel what the training views that see it
+        show there. Where none does, the mesh's own vertex colours stand.
+    """,
+    example="gsjax texture runs/garden --mesh garden.ply --out garden.glb",
+    packages=("open3d", "trimesh"),
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "texture",
-        _run,
-        summary="paint a mesh with what the Gaussians show",
-        description="""
-            Lays a mesh out in a square texture and gives every texel what the training views that see it
-            show there. Where none does, the mesh's own vertex colours stand.
-        """,
-        example="gsjax texture runs/garden --mesh garden.ply --out garden.glb",
-        packages=("open3d", "trimesh"),
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `gsjax.pipeline.texture` takes."""
     parser.add_argument("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     parser.add_argument("--mesh", metavar="FILE", required=True, help="the mesh that `gsjax mesh` made of it")
     parser.add_argument(
@@ -28,11 +26,3 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         "--size", type=int, metavar="PX", help="side of the texture; default: as fine as the photos, 4096 at most"
     )
     parser.add_argument("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")
-
-
-def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline
-    from gsjax.report import tables
-
-    options = given_options(arguments, "size", "scene")
-    print(tables.record(pipeline.texture(arguments.source, arguments.mesh, arguments.out, **options)))

@@ -3,14 +3,14 @@
 import argparse
 import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from gsjax import config
 from gsjax.cli import environment
-from gsjax.cli.parsers import add_command, add_moved_scene, finite, given_options, seconds
+from gsjax.cli.parsers import About, add_moved_scene, finite, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
 from gsjax.presets import LENGTHS, PRESETS
@@ -26,24 +26,23 @@ OPTIONS = {
     "sky": "effects.sky",
 }
 """Options -> the keys of the settings that they set."""
-FEW_OPTIONS = "seed", "downscale", "hold_out"
-"""Of `add_training`."""
+TRAINING = "seed", "downscale", "hold_out", "assignments"
+"""Options of `add_training` besides the preset."""
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "train",
-        _run,
-        summary="train Gaussians on a data set",
-        description="""
-            Reads a COLMAP model (SCENE/images, SCENE/sparse/0), a transforms.json or a NeRF-synthetic
-            folder, and writes RUN/gaussians.ply, checkpoints, metrics.jsonl, and the settings in
-            RUN/config.json. Some photos are held out for `gsjax eval`: see --hold-out.
-        """,
-        example="gsjax train scenes/garden --out runs/garden --preset fast",
-    )
+ABOUT = About(
+    summary="train Gaussians on a data set",
+    description="""
+        Reads a COLMAP model (SCENE/images, SCENE/sparse/0), a transforms.json or a NeRF-synthetic
+        folder, and writes RUN/gaussians.ply, checkpoints, metrics.jsonl, and the settings in
+        RUN/config.json. Some photos are held out for `gsjax eval`: see --hold-out.
+    """,
+    example="gsjax train scenes/garden --out runs/garden --preset fast",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", nargs="?", help="folder of the data set; with --resume, that of RUN")
     add("--out", metavar="RUN", required=True, help="folder for the run; must be empty unless --resume")
@@ -93,7 +92,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " where the first of them listens; auto reads it from the cluster's environment")  # fmt: skip
     add("--processes", type=int, metavar="P", help="how many processes there are, with --coordinator HOST:PORT")
     add("--process", type=int, metavar="I", help="which of them this is, from 0; the first alone writes RUN")
-    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
+    add("--set", metavar="KEY=VALUE", action="extend", nargs="+", dest="assignments",
         help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
     add("--resume", action="store_true", help="continue RUN from its last checkpoint with its own settings")
     add_moved_scene(parser)
@@ -103,72 +102,84 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add_address(parser)
 
 
-def _run(arguments: argparse.Namespace) -> None:
-    address, places = given_options(arguments, "port", "host"), given_options(arguments, "processes", "process")
-    if address and not arguments.view:
+def run(
+    out: str,
+    scene: str | None = None,
+    scene_folder: str | None = None,
+    preset: str | None = None,
+    budget: str | None = None,
+    devices: str | None = None,
+    coordinator: str | None = None,
+    resume: bool = False,
+    deterministic: bool = False,
+    view: bool = False,
+    **options: Any,
+) -> dict[str, Any] | None:
+    """Train; return the summary, in the first of several processes."""
+    address, places = (
+        {name: options.pop(name) for name in names if name in options}
+        for names in (("port", "host"), ("processes", "process"))
+    )
+    if address and not view:
         raise InputError(f"--{next(iter(address))} goes with --view")
-    if places and arguments.coordinator is None:
+    if places and coordinator is None:
         raise InputError(f"--{next(iter(places))} goes with --coordinator")
-    if arguments.deterministic:
+    if deterministic:
         environment.ask_for_determinism()
-    from gsjax.report import tables
+    scene = _scene(out, scene, scene_folder, resume)
 
-    arguments.scene = _scene(arguments)
-    if arguments.coordinator is None:
-        print(tables.record(_train(arguments, address)))
-        return
+    def train() -> dict[str, Any]:
+        from gsjax import pipeline
+
+        used = _devices(devices, coordinator)
+        if used != 1 or options.get("views_per_step", 1) > 1:
+            for name, given in (("budget", budget), ("view", view)):
+                if given:
+                    raise InputError(f"--{name}: needs one device and --views-per-step 1")
+        if view:
+            from gsjax import viewer
+
+            viewer.check_port(**address)  # Before a budget is measured.
+        if used != 1 and not resume:
+            options.setdefault("views_per_step", pipeline.count_devices(used))
+        plan, spread = _settings(scene, out, preset, budget, resume, options), {"devices": used} if used != 1 else {}
+        begin = partial(pipeline.train, scene, out, plan, resume=resume, **spread)
+        if not view:
+            return begin()
+        with viewer.watch(scene, plan, **address) as observe:
+            return begin(observe=observe)
+
+    if coordinator is None:
+        return train()
     from gsjax.runs import processes
 
-    with processes.join_processes(arguments.coordinator, **places):
-        summary = _train(arguments, address)
-        if processes.is_first():
-            print(tables.record(summary))
+    with processes.join_processes(coordinator, **places):
+        summary = train()
+        return summary if processes.is_first() else None
 
 
-def _train(arguments: argparse.Namespace, address: dict[str, Any]) -> dict[str, Any]:
-    from gsjax import pipeline
-
-    devices = _devices(arguments)
-    if devices != 1 or (arguments.views_per_step or 1) > 1:
-        for name in ("budget", "view"):
-            if getattr(arguments, name):
-                raise InputError(f"--{name}: needs one device and --views-per-step 1")
-    if arguments.view:
-        from gsjax import viewer
-
-        viewer.check_port(**address)  # Before a budget is measured.
-    if devices != 1 and arguments.views_per_step is None and not arguments.resume:
-        arguments.views_per_step = pipeline.count_devices(devices)
-    plan, spread = settings(arguments), {"devices": devices} if devices != 1 else {}
-    train = partial(pipeline.train, arguments.scene, arguments.out, plan, resume=arguments.resume, **spread)
-    if not arguments.view:
-        return train()
-    with viewer.watch(arguments.scene, plan, **address) as observe:
-        return train(observe=observe)
-
-
-def _scene(arguments: argparse.Namespace) -> str:
+def _scene(out: str, scene: str | None, moved_to: str | None, resume: bool) -> str:
     """The data set: as given, or that of the run to resume, which is recorded where it was moved to."""
-    if arguments.scene_folder is not None:
+    if moved_to is not None:
         from gsjax.runs import is_run
         from gsjax.runs.relocation import relocate_scene
 
-        if not arguments.resume:
+        if not resume:
             raise InputError("--scene: is the new place of a run's data set, and goes with --resume")
-        if is_run(arguments.out):
-            relocate_scene(arguments.out, arguments.scene_folder)
-        return arguments.scene_folder
-    if arguments.scene is not None:
-        return arguments.scene
-    if not arguments.resume:
+        if is_run(out):
+            relocate_scene(out, moved_to)
+        return moved_to
+    if scene is not None:
+        return scene
+    if not resume:
         raise InputError("SCENE: name the folder of the data set, as in gsjax train SCENE --out RUN")
     from gsjax.runs.run import Run
 
-    return Run.open(arguments.out).manifest["scene"]
+    return Run.open(out).manifest["scene"]
 
 
-def _devices(arguments: argparse.Namespace) -> int | Literal["all"]:
-    named = arguments.devices or ("1" if arguments.coordinator is None else "all")
+def _devices(devices: str | None, coordinator: str | None) -> int | Literal["all"]:
+    named = devices or ("1" if coordinator is None else "all")
     if named == "all":
         return "all"
     if not named.isdecimal() or int(named) < 1:
@@ -176,7 +187,9 @@ def _devices(arguments: argparse.Namespace) -> int | Literal["all"]:
     return int(named)
 
 
-def settings(arguments: argparse.Namespace) -> Settings:
+def _settings(
+    scene: str, out: str, preset: str | None, budget: str | None, resume: bool, options: Mapping[str, Any]
+) -> Settings:
     """The run's settings: the preset (of a resumed run: what it was started with), the options, then `--set`.
 
     With a budget of time, as many steps of that, and Gaussians but where their number is set, as the machine bears.
@@ -186,25 +199,23 @@ def settings(arguments: argparse.Namespace) -> Settings:
     """
     from gsjax import pipeline, runs
 
-    budget = None if arguments.budget is None else seconds(arguments.budget)
-    started = Path(arguments.out) / "config.json"
-    if arguments.resume and started.exists():
-        base = config.merge(runs.read_settings(started.parent), PRESETS.get(arguments.preset, {}))
-        return override_settings(base, arguments)
-    if budget is None:
-        return override_settings(PRESETS[arguments.preset or "fast"], arguments)
-    runs.require_free(arguments.out)
-    names = (arguments.preset,) if arguments.preset else LENGTHS
-    candidates = {name: override_settings(PRESETS[name], arguments) for name in names}
-    is_set = any(one.startswith("model.max_gaussians=") for group in arguments.assignments for one in group)
+    limit = None if budget is None else seconds(budget)
+    started = Path(out) / "config.json"
+    if resume and started.exists():
+        return override_settings(config.merge(runs.read_settings(out), PRESETS.get(preset or "", {})), **options)
+    if limit is None:
+        return override_settings(PRESETS[preset or "fast"], **options)
+    runs.require_free(out)
+    candidates = {name: override_settings(PRESETS[name], **options) for name in ((preset,) if preset else LENGTHS)}
+    is_set = any(one.startswith("model.max_gaussians=") for one in options.get("assignments", ()))
     lasting = pipeline.scaled if is_set else pipeline.resized
-    chosen, line = pipeline.budgeted(arguments.scene, candidates, budget, lasting)
-    print(f"budget of {arguments.budget}: {line}", file=sys.stderr)
+    chosen, line = pipeline.budgeted(scene, candidates, limit, lasting)
+    print(f"budget of {budget}: {line}", file=sys.stderr)
     return chosen
 
 
 def add_training(parser: argparse.ArgumentParser, length: str) -> None:
-    """What commands that train among other things let choose of it; `training` reads it.
+    """Add what commands that train among other things let choose of it: the arguments of `training`.
 
     Args:
         parser: Of the command.
@@ -215,20 +226,17 @@ def add_training(parser: argparse.ArgumentParser, length: str) -> None:
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
     add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
     add("--hold-out", metavar="N|none|FILE", help="photos for scoring only (default: as `gsjax train`)")
-    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
+    add("--set", metavar="KEY=VALUE", action="extend", nargs="+", dest="assignments",
         help="any setting of the training by its dotted key; may be repeated")  # fmt: skip
 
 
-def training(arguments: argparse.Namespace) -> Settings:
-    """The settings that were chosen so."""
-    return override_settings(PRESETS[arguments.preset], arguments, FEW_OPTIONS)
+def training(preset: str, **options: Any) -> Settings:
+    """The settings of a preset, with the options of `TRAINING`."""
+    return override_settings(PRESETS[preset], **options)
 
 
-def override_settings(
-    base: Mapping[str, Any], arguments: argparse.Namespace, names: Iterable[str] = OPTIONS
-) -> Settings:
-    """Settings with the named options where they were given, then what `--set` says."""
-    options = given_options(arguments, *names)
+def override_settings(base: Mapping[str, Any], assignments: Sequence[str] = (), **options: Any) -> Settings:
+    """Settings with the options of `OPTIONS` that were given, then what `--set` says."""
     for name, exists in (
         ("hold_out", os.path.isfile),
         ("points", os.path.isfile),
@@ -241,7 +249,4 @@ def override_settings(
     for name, value in options.items():
         *group, key = OPTIONS[name].split(".")
         (changes.setdefault(group[0], {}) if group else changes)[key] = value
-    # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
-    whole = config.to_dict(config.parse(Settings, config.merge(base, changes), where="settings"))
-    assignments = [one for group in arguments.assignments for one in group]
-    return config.parse(Settings, config.override(whole, assignments), where="--set")
+    return config.parse_overridden(Settings, config.merge(base, changes), assignments)

@@ -2,34 +2,24 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, finite, given_options
+from gsjax.cli.parsers import About, finite
+
+ABOUT = About(
+    summary="write the photos as training sees them: undistorted, cropped, downscaled",
+    description="""
+        For networks and programs that want pinhole photos: reads what `gsjax train` reads and writes
+        DIR/images, DIR/masks where not every pixel counts, DIR/sparse/0 and DIR/hold_out.txt. DIR is
+        a data set that trains the same. Normal maps made of DIR/images belong to `gsjax train DIR`.
+    """,
+    example="gsjax undistort scenes/garden --out scenes/garden_pinhole",
+    packages=("pycolmap", "cv2"),
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "undistort",
-        _run,
-        summary="write the photos as training sees them: undistorted, cropped, downscaled",
-        description="""
-            For networks and programs that want pinhole photos: reads what `gsjax train` reads and writes
-            DIR/images, DIR/masks where not every pixel counts, DIR/sparse/0 and DIR/hold_out.txt. DIR is
-            a data set that trains the same. Normal maps made of DIR/images belong to `gsjax train DIR`.
-        """,
-        example="gsjax undistort scenes/garden --out scenes/garden_pinhole",
-        packages=("pycolmap", "cv2"),
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `gsjax.pipeline.undistort` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
     add("--out", metavar="DIR", required=True, help="folder to make; absent or empty")
     add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: 1)")
     add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: found by name)")
-
-
-def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline
-    from gsjax.report import tables
-
-    report = pipeline.undistort(arguments.scene, arguments.out, **given_options(arguments, "downscale", "images"))
-    print(tables.record(report))

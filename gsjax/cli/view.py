@@ -1,25 +1,24 @@
 """`gsjax view`: a result in the browser."""
 
 import argparse
+from typing import Any
 
-from gsjax.cli.parsers import add_command, given_options
+from gsjax.cli.parsers import About
+
+ABOUT = About(
+    summary="show a run, Gaussians or a mesh in the browser",
+    description="""
+        Serves a page until Ctrl-C: Gaussians as this program's rasterizer draws them, coarse while the
+        camera moves and full at rest, or as the browser does; colour, depth, normals, the mesh, the
+        cameras with their photos.
+    """,
+    example="gsjax view runs/garden",
+    packages=("viser",),
+)
 
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "view",
-        _run,
-        summary="show a run, Gaussians or a mesh in the browser",
-        description="""
-            Serves a page until Ctrl-C: Gaussians as this program's rasterizer draws them, coarse while the
-            camera moves and full at rest, or as the browser does; colour, depth, normals, the mesh, the
-            cameras with their photos.
-        """,
-        example="gsjax view runs/garden",
-        packages=("viser",),
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians (.ply,"
         " .compressed.ply, .sog, .spz) or of a mesh (.ply, .obj, .glb)")  # fmt: skip
@@ -34,7 +33,8 @@ def add_address(parser: argparse.ArgumentParser) -> None:
         " who reaches it sees the page (default: 127.0.0.1, this machine alone)")  # fmt: skip
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(source: str, **options: Any) -> None:
+    """Serve the page."""
     from gsjax import viewer
 
-    viewer.view(arguments.source, **given_options(arguments, "mesh", "port", "host"))
+    viewer.view(source, **options)

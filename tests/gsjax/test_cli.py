@@ -159,60 +159,46 @@ def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_
     assert settings == config.parse(Settings, PRESETS["fast"])
 
 
-BOUNDS = ["-1", "-1.5", "0", "1", "1", "2"]
+BOUNDS = ["--bounds", "-1", "-1.5", "0", "1", "1", "2"]
 MASKS = ["--network", "u2net", "--weights", "m.onnx"]
-EVAL = {"mesh": None, "three_ways": False, "aligned": False, "zooms": []}
+MASKED = {"photos": "photos", "network": "u2net", "weights": "m.onnx"}
 
 
 @pytest.mark.parametrize(
     ("arguments", "call"),
     [
-        (["mesh", "run", "--out", "m.glb"], ("mesh", ("run", "m.glb"), {})),
+        (["mesh", "run", "--out", "m.glb"], ("mesh", ("run",), {"out": "m.glb"})),
         (
-            [
-                "mesh",
-                "g.ply",
-                "--out",
-                "m.obj",
-                "--depth",
-                "9",
-                "--scene",
-                "s",
-                "--bounds",
-                *["-1", "-1.5", "0", "1", "1", "2"],
-            ],
-            ("mesh", ("g.ply", "m.obj"), {"depth": 9, "scene": "s", "bounds": [-1, -1.5, 0, 1, 1, 2]}),
+            ["mesh", "g.ply", "--out", "m.obj", "--depth", "9", *BOUNDS],
+            ("mesh", ("g.ply",), {"out": "m.obj", "depth": 9, "bounds": [-1, -1.5, 0, 1, 1, 2]}),
         ),
         (["view", "run"], ("view", ("run",), {})),
         (
             ["view", "g.spz", "--mesh", "m.glb", "--port", "81", "--host", "0.0.0.0"],
             ("view", ("g.spz",), {"mesh": "m.glb", "port": 81, "host": "0.0.0.0"}),
         ),
-        (["masks", "photos", *MASKS], ("masks", ("photos", "u2net", "m.onnx", None), {})),
+        (["masks", "photos", *MASKS], ("masks", (), MASKED)),
         (
             ["masks", "photos", *MASKS, "--classes", "person, sky", "--invert", "--out", "o", "--images", "images_4"],
-            (
-                "masks",
-                ("photos", "u2net", "m.onnx", "o"),
-                {"classes": ["person", "sky"], "invert": True, "images": "images_4"},
-            ),
+            ("masks", (), {**MASKED, "out": "o", "classes": ["person", "sky"], "invert": True, "images": "images_4"}),
         ),
         (
-            ["normals", "scene", "--network", "moge2", "--weights", "m.onnx", "--out", "o", "--downscale", "2"],
-            ("normals", ("scene", "moge2", "m.onnx", "o"), {"downscale": 2}),
+            ["render", "run", "--out", "o", "--held-out"],
+            ("render", (), {"source": "run", "out": "o", "views": "held_out"}),
         ),
-        (["render", "run", "--out", "o", "--held-out"], ("render", ("run", "o"), {"views": "held_out"})),
         (["sfm", "clip.mp4", "--out", "scene", "--frames", "30"], ("sfm", ("clip.mp4", "scene"), {"frames": 30})),
         (
-            ["undistort", "scene", "--out", "o", "--downscale", "2", "--images", "images_4"],
-            ("undistort", ("scene", "o"), {"downscale": 2, "images": "images_4"}),
+            ["undistort", "scene", "--out", "o", "--downscale", "2"],
+            ("undistort", (), {"scene": "scene", "out": "o", "downscale": 2}),
         ),
-        (["report", "run"], ("report", ("run",), {})),
-        (["compare", "run", "other", "--out", "o.html"], ("compare", (["run", "other"], "o.html"), {})),
+        (
+            ["compare", "run", "other", "--out", "o.html"],
+            ("compare", (), {"folders": ["run", "other"], "out": "o.html"}),
+        ),
         (["demo"], ("demo", ("runs/demo",), {})),
         (
-            ["eval", "run", "--lpips", "vgg.onnx", "--lpips", "alex.onnx"],
-            ("evaluate", ("run",), {**EVAL, "lpips": ["vgg.onnx", "alex.onnx"]}),
+            ["eval", "run", "--lpips", "vgg.onnx", "--lpips", "alex.onnx", "--three-ways"],
+            ("evaluate", ("run",), {"mesh": None, "lpips": ["vgg.onnx", "alex.onnx"], "three_ways": True}),
         ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -2,26 +2,26 @@
 
 import argparse
 import sys
+from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
-from gsjax.cli.parsers import add_command, add_moved_scene, finite, given_options
+from gsjax.cli.parsers import About, add_moved_scene, finite
 from gsjax.io import json_files
 
+ABOUT = About(
+    summary="score a run on its held-out views",
+    description="""
+        Prints PSNR, SSIM and, with weights of yours, LPIPS over the held-out views; where the data
+        set has true depth, normals or a true surface, also the errors against them: of a mesh from
+        point to surface, and the true mesh's own as floor. Pixel masks of the data set are respected.
+    """,
+    example="gsjax eval runs/garden --json garden.json",
+)
 
-def add_to(commands: argparse._SubParsersAction) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "eval",
-        _run,
-        summary="score a run on its held-out views",
-        description="""
-            Prints PSNR, SSIM and, with weights of yours, LPIPS over the held-out views; where the data
-            set has true depth, normals or a true surface, also the errors against them: of a mesh from
-            point to surface, and the true mesh's own as floor. Pixel masks of the data set are respected.
-        """,
-        example="gsjax eval runs/garden --json garden.json",
-    )
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what `run` takes."""
     parser.add_argument("run_folder", metavar="RUN", help="folder that `gsjax train` made")
     parser.add_argument("--json", metavar="FILE", help="also write the figures here")
     parser.add_argument(
@@ -40,7 +40,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         metavar="FACTOR",
         type=finite,
         nargs="+",
-        default=[],
+        dest="zooms",
         help="also score pictures at so many times the size of training, such as 0.5 2",
     )
     parser.add_argument(
@@ -53,27 +53,21 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add_moved_scene(parser)
 
 
-def _run(arguments: argparse.Namespace) -> None:
+def run(
+    run_folder: str, json: str | None = None, mesh: str | None = None, lpips: Sequence[str] = (), **options: Any
+) -> dict[str, Any]:
+    """Score, note the figures in the run, and write them where they are to be."""
     from gsjax import pipeline
-    from gsjax.report import tables
     from gsjax.runs.outputs import require_apart
 
-    score = partial(
-        pipeline.evaluate,
-        arguments.run_folder,
-        mesh=arguments.mesh,
-        three_ways=arguments.three_ways,
-        aligned=arguments.aligned,
-        zooms=arguments.zoom,
-        **given_options(arguments, "lpips", "scene_folder"),
-    )
-    if arguments.json:
-        require_apart(arguments.json, arguments.run_folder, arguments.mesh, *(arguments.lpips or ()))
-    figures = pipeline.noted(arguments.run_folder, "eval", score)
-    if arguments.json:
-        json_files.write(arguments.json, figures)
+    if json:
+        require_apart(json, run_folder, mesh, *lpips)
+    score = partial(pipeline.evaluate, run_folder, mesh=mesh, lpips=lpips, **options)
+    figures = pipeline.noted(run_folder, "eval", score)
+    if json:
+        json_files.write(json, figures)
     if not figures["views"]:
-        print(f"{arguments.run_folder}: no held-out views to score pictures by", file=sys.stderr)
-    elif not arguments.lpips:
+        print(f"{run_folder}: no held-out views to score pictures by", file=sys.stderr)
+    elif not lpips:
         print("LPIPS is not scored: --lpips FILE names its weights", file=sys.stderr)
-    print(tables.record(figures))
+    return figures
