@@ -155,7 +155,7 @@ def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = 
     before = folder.parent / "before.ply"
     keep, goes_on = partial(_keep_before, before, settings), _goes_on(folder)
     terms = terms_of_scene(data, settings)
-    summary = pipeline.train(data, folder, settings, terms=terms, resume=goes_on, earlier=earlier, observe=keep)
+    summary = pipeline.train(data, folder, settings, terms=terms, resume=goes_on, warm_start=earlier, observe=keep)
     if earlier is not None and not before.exists():
         _keep_those_of(earlier, before, settings)
     most = max((record["gaussians"] for record in runs.read_metrics(folder) if "gaussians" in record), default=0)
@@ -166,7 +166,8 @@ def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = 
     }
     if cap["cap_bound"]:
         print(
-            f"paper_run: {folder}: growth was held at max_gaussians={settings.model.max_gaussians:,}", file=sys.stderr
+            f"paper_run: {folder}: limited to max_gaussians={settings.model.max_gaussians:,}",
+            file=sys.stderr,
         )
     return {**summary, **cap, "normals": json_files.read(folder / "config.json")["supervision"]["normals"]}
 

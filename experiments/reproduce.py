@@ -146,7 +146,7 @@ def remarks(found: Iterable[tuple[str, str, int, dict[str, Any]]]) -> dict[str, 
         if SCHEDULES[schedule].regulariser == R and trained and trained.get("normals") is None:
             lines.append("R with the run's own smoothed normals, not with a network's (the paper: Omnidata)")
         if trained.get("cap_bound"):
-            lines.append(f"{schedule}, seed {seed}: growth was held at {trained['max_gaussians']:,} Gaussians")
+            lines.append(f"{schedule}, seed {seed}: limited to {trained['max_gaussians']:,} Gaussians")
     return {scene: f"{scene}: {'; '.join(dict.fromkeys(lines))}." for scene, lines in said.items() if lines}
 
 

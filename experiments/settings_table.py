@@ -135,7 +135,7 @@ def of_training(config: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]
             f"{round(f * most):,}": {"model": {"max_gaussians": round(f * most)}} for f in (2, 1, 0.5, 0.25, 0.125)
         },
         "harmonics": {f"degree {degree}": {"model": {"sh_degree": degree}} for degree in (3, 2, 1, 0)},
-        "rule of growth": {rule: {"density": {"rule": rule}} for rule in ("error", "adc")},
+        "densification rule": {rule: {"density": {"rule": rule}} for rule in ("error", "adc")},
         "steps at half size": {f"{share:.0%}": coarse(share) for share in (0.0, 0.25, 0.5, 0.75)},
         "plain steps": {f"x {factor:g}": with_plain(factor) for factor in STEPS},
         "surface steps": {f"x {factor:g}": with_surface(steps=round(factor * surface["steps"])) for factor in STEPS},

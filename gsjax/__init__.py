@@ -36,7 +36,7 @@ HOMES = {
     "sdf_gradient": "normals.sdf",
     "ssim": "metrics.images",
     # A training loop of one's own.
-    "RULES": "training.growth.rules",
+    "DENSIFICATION_RULES": "training.densification.rules",
     "adam": "training.trainer",
     "densification": "training.trainer",
     "densify": "training.trainer",

@@ -122,7 +122,7 @@ class Rates:
 class Density:
     """Clone, split, prune and reset, at a fixed budget of Gaussians."""
 
-    rule: str = "adc"  # who grows, a name of `gsjax.training.growth.rules.RULES`
+    rule: str = "adc"  # who grows, a name of `gsjax.training.densification.rules.DENSIFICATION_RULES`
     start: int = 500
     stop: int = 15000
     every: int = 100
@@ -131,7 +131,7 @@ class Density:
     full_by: float = 0.9  # error: where between `start` and `stop` the budget is full, reached geometrically
     replace: float = 0.1  # error: share that moves in each densification, from the least seen to the worst
     min_opacity: float = 0.005
-    max_share: float = 0.1  # of the extent: larger ones are pruned, see `adaptive.prunes_large`; error: the near ones
+    max_share: float = 0.1  # of the extent: larger ones are pruned, by the rule `error` the near ones
     reset_every: int = 3000  # and, over a white background, at `start`; 0: never
 
     def __post_init__(self):

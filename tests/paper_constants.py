@@ -31,7 +31,7 @@ from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import Density, Rates, Settings
 from gsjax.training import initialize
-from gsjax.training.growth import adaptive
+from gsjax.training.densification import gradient_driven
 from gsjax.training.optimizers import apply_gradients, make_optimizer
 
 
@@ -114,7 +114,7 @@ def first_opacity() -> float:
 
 def reset_to() -> float:
     """What an opaque Gaussian is reset to by the default limit."""
-    return rounded(opacities(adaptive.reset_opacities(cloud(1), adaptive.RESET_OPACITY))[0])
+    return rounded(opacities(gradient_driven.reset_opacities(cloud(1), gradient_driven.RESET_OPACITY))[0])
 
 
 def alpha_of(opacity: float, *, layers: int = 1, depth: float = 1.0) -> float:
@@ -225,9 +225,9 @@ CONSTANTS = (
     Constant("gradient that grows", 2e-4, DGS, lambda: Density().gradient),
     Constant("extent that splits and that is pruned", (0.01, 0.1), DGS,
              lambda: (Density().dense_share, Density().max_share)),
-    Constant("halves are smaller by", 0.8 * 2, "3DGS, densify_and_split", lambda: adaptive.SPLIT),
+    Constant("halves are smaller by", 0.8 * 2, "3DGS, densify_and_split", lambda: gradient_driven.SPLIT),
     Constant("size prunes after", (False, True), "3DGS, train.py",
-             lambda: tuple(adaptive.prunes_large(Density(), step) for step in (3000, 3001))),
+             lambda: tuple(gradient_driven.prunes_large(Density(), step) for step in (3000, 3001))),
     Constant("opacity that is pruned", 0.005, "3DGS, train.py", lambda: Density().min_opacity),
     Constant("opacities are reset to", 0.01, "3DGS, reset_opacity", reset_to),
     Constant("opacities are reset every", 3000, DGS, lambda: Density().reset_every),

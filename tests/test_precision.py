@@ -30,7 +30,7 @@ from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.cameras import center
 from gsjax.settings import Density, Rates
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import densify, initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
@@ -103,7 +103,7 @@ def target():
     return batches.with_photo_numbers(batches.read_batches(photos)).views
 
 
-def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target):
+def test_a_training_step_of_all_terms_and_effects_and_the_densification_after_it(target):
     def rate(step):
         return jnp.float32(0.01)
 
@@ -116,16 +116,16 @@ def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target
         "transients": transients.make_effect(rate),
     }
     terms = weigh_terms(dict.fromkeys(TERMS, 0.1))
-    how = {"capacity": 4096, "background": BACKGROUNDS["random"], "sh_every": 4, "rule": RULES["error"]}
+    how = {"capacity": 4096, "background": BACKGROUNDS["random"], "sh_every": 4, "rule": DENSIFICATION_RULES["error"]}
     step = make_train_step(OPTIMIZER, terms, effects=effects, depth_mode="front", **how)
-    state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, RULES["error"], effects)
+    state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, DENSIFICATION_RULES["error"], effects)
     maps = {"normals": np.full((24, 32, 3), 40, np.int8), "depth": np.full((24, 32), 2, np.float32)}
     here = batches.replace(target[0], beside=target[1], trust=np.full((24, 32), 255, np.uint8), **maps)
     here = batches.replace(here, sky=np.ones((24, 32), bool))
     assert not rough_products(step, state, here, jax.random.key(0))
-    for rule in RULES:
+    for rule in DENSIFICATION_RULES:
         grown = partial(densify, optimizer=OPTIMIZER, density=Density(rule=rule), budget=48)
-        state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, RULES[rule])
+        state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, DENSIFICATION_RULES[rule])
         assert not rough_products(grown, state, jax.random.key(0), jnp.float32(1.0), jnp.array(True))
 
 

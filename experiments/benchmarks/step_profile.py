@@ -113,7 +113,7 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
 
     from gsjax.scene import batches
     from gsjax.training.capacity import chosen_capacity
-    from gsjax.training.growth.rules import RULES
+    from gsjax.training.densification.rules import DENSIFICATION_RULES
     from gsjax.training.optimizers import make_optimizer
     from gsjax.training.plan import plan
     from gsjax.training.state import initial_state
@@ -129,7 +129,7 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
         data = with_neighbors(batches.read_batches(frames, scale=scale), extent)
         if "normals" in phase.needs:
             data = batches.with_normals(data, facing, scale)
-        rule = RULES[settings.density.rule]
+        rule = DENSIFICATION_RULES[settings.density.rule]
         start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.model.pixel_filter)
         state = initial_state(start, optimizer, rule)
         step = make_train_step(

@@ -51,7 +51,7 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     scene = analytic_scene.write(out / "scene", num_views=NUM_VIEWS, size=SIZE)
     vanilla, surface = out / "vanilla", out / "surface"
     _train(scene, vanilla)
-    _train(scene, surface, earlier=vanilla)
+    _train(scene, surface, warm_start=vanilla)
     with ThreadPoolExecutor(2) as pool:  # One leaves cores idle.
         scored = dict(zip(("vanilla", "surface"), pool.map(_mesh_and_score, (vanilla, surface)), strict=True))
     picture = _comparison(scene, open_result(vanilla), open_result(surface), out)
@@ -67,13 +67,13 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     return report
 
 
-def _train(scene: Path, run: Path, *, earlier: Path | None = None) -> None:
+def _train(scene: Path, run: Path, *, warm_start: Path | None = None) -> None:
     """The variant that the folder is named for."""
     print(f"demo: training the {run.name} variant")
     settings = config.merge(
         DEMO, {"schedule": {"vanilla": run.name == "vanilla"}, "supervision": {"normals": str(scene / "normals")}}
     )
-    pipeline.train(scene, run, config.parse(Settings, settings), earlier=earlier)
+    pipeline.train(scene, run, config.parse(Settings, settings), warm_start=warm_start)
 
 
 def _mesh_and_score(run: Path) -> dict[str, Any]:

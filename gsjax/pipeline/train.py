@@ -24,8 +24,7 @@ from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.metrics.photos import score_images
 from gsjax.pipeline.training_journal import TrainingJournal
-from gsjax.planning import holding_back
-from gsjax.planning.earlier import shared_steps, take_normals
+from gsjax.planning import sparse_view_trial
 from gsjax.planning.effect_validation import EffectValidation
 from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
 from gsjax.planning.measured_depth import measured_depth
@@ -34,6 +33,7 @@ from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.sparse_views import ENTRY, for_sparse_views
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
+from gsjax.planning.warm_start import shared_steps, take_normals
 from gsjax.rendering.engine import computes_on_cpu, engine_here
 from gsjax.report.page import report_if_installed
 from gsjax.report.view_pictures import keep_skies, picture_keeper
@@ -49,7 +49,7 @@ from gsjax.scene import Scene, kept
 from gsjax.settings import AUTO, Settings
 from gsjax.training import data_parallel, optimizers
 from gsjax.training.data_parallel import Devices, device_mesh
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, check_terms, plan
 from gsjax.training.state import TrainState
@@ -63,7 +63,7 @@ def train(
     *,
     terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     resume: bool = False,
-    earlier: str | Path | None = None,
+    warm_start: str | Path | None = None,
     observe: Callable[[Progress], None] | None = None,
     devices: Devices = 1,
 ) -> dict[str, Any]:
@@ -79,8 +79,8 @@ def train(
         terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place:
             functions of (Gaussians, View, Batch), or a `Term` that says what such a function needs.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
-        earlier: Another run folder, of the same settings until the phases part: this run begins at its last checkpoint
-            before that, so what both have in common is trained once. None: at the first step.
+        warm_start: Another run folder, of the same settings until the phases part. Training starts at its last
+            checkpoint before that, so what both have in common is trained once. None: at the first step.
         observe: Told of every step, before its checkpoint is written. On a GPU it is told of several at once, and the
             state is that of the very step only where figures are logged, a checkpoint is written or a phase ends.
         devices: How many share the views of a step, or "all"; `settings.views_per_step` is a multiple of them.
@@ -94,9 +94,9 @@ def train(
             or a gradient is not finite, before that step.
     """
     settings = config.as_record(Settings, settings)
-    earlier = None if earlier is None else Path(earlier)
-    if earlier is not None and runs.latest_checkpoint(earlier) is None:
-        raise InputError(f"{earlier}: has no checkpoint to begin from")
+    warm_start = None if warm_start is None else Path(warm_start)
+    if warm_start is not None and runs.latest_checkpoint(warm_start) is None:
+        raise InputError(f"{warm_start}: has no checkpoint to begin from")
     make_room()
     rasterizer.prepare()
     with own_folder(out) as folder:
@@ -107,7 +107,7 @@ def train(
             runs.require_scene(folder, scene)
         mesh = device_mesh(devices, settings.schedule.views_per_step)
         planned = _planned(scene, settings, terms, known)
-        return _train(scene, folder, settings, planned, known, earlier, observe, mesh)
+        return _train(scene, folder, settings, planned, known, warm_start, observe, mesh)
 
 
 def _planned(
@@ -133,8 +133,8 @@ def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> lis
     lines = [f"on {engine.device} with the {engine.name} rasterizer", photos_line]
     if settings.schedule.dropout:
         lines.append(f"every step leaves out {settings.schedule.dropout:.0%} of the Gaussians")
-    if any(phase.rule is RULES["adc"] for phase in planned.phases):
-        lines.append(f"growth stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
+    if any(phase.rule is DENSIFICATION_RULES["adc"] for phase in planned.phases):
+        lines.append(f"densification stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
     if settings.supervision.normals is None and "normals" in planned.needs:
         lines.append("no maps of normals (--normals): the run's own depth stands in for a network")
     return lines
@@ -146,11 +146,11 @@ def _train(
     settings: Settings,
     planned: Plan,
     known: Mapping[str, Any] | None,
-    earlier: Path | None,
+    warm_start: Path | None,
     observe: Callable[[Progress], None] | None,
     mesh: Mesh | None,
 ) -> dict[str, Any]:
-    begun_in = out if known else earlier  # whose checkpoint is in coordinates of its own
+    begun_in = out if known else warm_start  # whose checkpoint is in coordinates of its own
     begun = None if begun_in is None else Run(begun_in)
     loaded, downscale, photos_line = at_size(
         scene,
@@ -163,7 +163,7 @@ def _train(
     if begun and runs.latest_checkpoint(begun.folder):
         require_photos_of_effects(loaded, split, begun.manifest, run=begun.folder)
     check_terms(planned, loaded.train_frames)
-    trial = (lambda *how: same_everywhere(holding_back.gain(*how))) if begun is None else None
+    trial = (lambda *how: same_everywhere(sparse_view_trial.gain(*how))) if begun is None else None
     before = None if begun is None else begun.manifest.get(ENTRY)
     planned, sparse = for_sparse_views(planned, loaded, settings, trial=trial, before=before, may_lower=known is None)
     fitted = fit_to_memory(planned, loaded.frames, out, may_lower=mesh is None and known is None)
@@ -216,7 +216,7 @@ def _train(
     optimizer = optimizers.make_optimizer(
         planned.rates, size, planned.rates.decay_steps, views_per_step=planned.views_per_step
     )
-    in_common = None if earlier is None else shared_steps(earlier, planned)
+    in_common = None if warm_start is None else shared_steps(warm_start, planned)
     as_dict = config.to_dict(settings)
     run = (
         runs.reopen(out, as_dict, scene=scene)
@@ -238,9 +238,9 @@ def _train(
         if chosen.evidence:
             runs.update_manifest(run, effects=chosen.evidence)
         initial = partial(first_state, started, sized, optimizer, chosen.effects, skies=chosen.skies)
-        state, capacity, seconds = starting_point(run, initial, earlier, in_common)
-        if earlier is not None:
-            take_normals(earlier, run, planned, int(state.step))
+        state, capacity, seconds = starting_point(run, initial, warm_start, in_common)
+        if warm_start is not None:
+            take_normals(warm_start, run, planned, int(state.step))
         state = _of_first(state, initial)
         state, whole = (state, _unchanged) if mesh is None else (data_parallel.replicate(state, mesh), jax.device_get)
         with TrainingJournal(run, planned, loaded, int(state.step), seconds, chosen, whole) as journal:

@@ -12,8 +12,8 @@ from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.runs.journal import Journal
 from gsjax.runs.photo_effects import with_moved_cameras
 from gsjax.scene import Scene
-from gsjax.training.growth import adaptive
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification import gradient_driven
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.loop import Progress
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, count_alive
@@ -65,10 +65,10 @@ class TrainingJournal(Journal):
         every, last = self.plan.logging, step == self.steps
         grows = any(phase.rule and phase.begin < step <= phase.end for phase in self.plan.phases)
         # Pictures of opacities that have just been reset have no meaning.
-        is_reset = grows and adaptive.resets_opacities(self.plan.density, step, self.plan.background)
+        is_reset = grows and gradient_driven.resets_opacities(self.plan.density, step, self.plan.background)
         scored = self.evaluate_every > 0 and step % self.evaluate_every == 0 and not (last or is_reset)
         logged = scored or last or step % every.metrics_every == 0
-        # Where a phase ends another run may begin (`train`'s `earlier`).
+        # Where a phase ends another run may begin (`train`, `warm_start`).
         return scored, logged, step in self._ends or step % every.checkpoint_every == 0
 
     def _held_out(self, state: TrainState) -> dict[str, float]:
@@ -83,10 +83,10 @@ class TrainingJournal(Journal):
 
     def _tell_held(self, progress: Progress, count: int) -> None:
         """Once, that no more Gaussians may grow, where a rule grows them without a budget in mind (3DGS)."""
-        if self._held or progress.phase.rule is not RULES["adc"] or count < self.plan.max_gaussians:
+        if self._held or progress.phase.rule is not DENSIFICATION_RULES["adc"] or count < self.plan.max_gaussians:
             return
         self._held = True
-        line = f"growth is held at max_gaussians={self.plan.max_gaussians:,} from step {progress.step:,} on"
+        line = f"densification is limited to max_gaussians={self.plan.max_gaussians:,} from step {progress.step:,} on"
         self.bar.write(f"train: {line}", sys.stderr)
         runs.update_manifest(self.run, growth=line)
 

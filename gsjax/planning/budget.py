@@ -18,7 +18,7 @@ from gsjax.scene import Scene, kept
 from gsjax.scene.batches import NORMAL_UNIT
 from gsjax.settings import Settings
 from gsjax.training import initialize, loop, optimizers
-from gsjax.training.growth.rules import rule_named
+from gsjax.training.densification.rules import rule_named
 from gsjax.training.plan import plan
 from gsjax.training.state import initial_state
 
@@ -28,7 +28,7 @@ FEWEST_STEPS = 50  # of a run
 FEWEST_ROUNDS, SHORTEST_INTERVAL = 8, 20  # of densification, and steps between two of them
 PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/accuracy_vs_time.md)
 PHOTOS = 8  # that the measured steps see, at most
-GROWN = 10  # times the point cloud: Gaussians at the end where the rule of growth names no number
+GROWN = 10  # times the point cloud: Gaussians at the end where the densification rule names no number
 WIDENED = 1.4  # by training, at most, against Gaussians that are initialised as densely
 
 

@@ -60,7 +60,7 @@ class Gain(NamedTuple):
 
 
 Trial = Callable[[Scene, Settings, Callable[[Plan], Plan]], Gain]
-"""(data set, run, what holds a plan back) -> what that brings, see `gsjax.planning.holding_back.gain`."""
+"""(data set, run, what holds a plan back) -> what that brings, see `gsjax.planning.sparse_view_trial.gain`."""
 
 
 @dataclass(frozen=True)

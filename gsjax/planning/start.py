@@ -14,7 +14,7 @@ from gsjax.settings import Settings
 from gsjax.stereo import stereo_points
 from gsjax.training import initialize
 from gsjax.training.buffers import bucket
-from gsjax.training.growth.rules import rule_named
+from gsjax.training.densification.rules import rule_named
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, initial_state
 

@@ -75,20 +75,20 @@ class StartingPoint(NamedTuple):
 
 
 def starting_point(
-    run: Path, initial: Callable[[int | None], Any], earlier: Path | None = None, in_common: int | None = None
+    run: Path, initial: Callable[[int | None], Any], warm_start: Path | None = None, in_common: int | None = None
 ) -> StartingPoint:
     """The newest checkpoint of a run folder, or the initial state; metrics of later steps are taken back.
 
     Args:
         run: The folder.
         initial: The state at step 0, in buffers of so many rows (None: as many as it takes).
-        earlier: A run folder with a checkpoint, where a run that has none of its own begins.
+        warm_start: A run folder with a checkpoint, where a run that has none of its own begins.
         in_common: After so many steps the two part, so no later checkpoint will do.
     """
     found = runs.latest_checkpoint(run)
-    if found is None and earlier is not None:
-        found = runs.latest_checkpoint(earlier, in_common)
-        shutil.copyfile(earlier / "metrics.jsonl", run / "metrics.jsonl")
+    if found is None and warm_start is not None:
+        found = runs.latest_checkpoint(warm_start, in_common)
+        shutil.copyfile(warm_start / "metrics.jsonl", run / "metrics.jsonl")
     if found is None:
         start = StartingPoint(initial(None), None, 0.0)
     else:

@@ -17,7 +17,7 @@ from jax import Array
 from gsjax.gaussians import DEAD_LOGIT, is_alive
 from gsjax.settings import Density
 from gsjax.training import optimizers
-from gsjax.training.growth.rules import Rule, rule_named
+from gsjax.training.densification.rules import DensificationRule, rule_named
 from gsjax.training.state import TrainState
 from rasterizer.engines import resolve
 
@@ -90,7 +90,7 @@ def shorten(state: TrainState, optimizer: optax.GradientTransformation, most: in
 
 
 @partial(jax.jit, static_argnames=("rule", "density", "budget"))
-def _wanted(state: TrainState, *, rule: Rule, density: Density, budget: int) -> Array:
+def _wanted(state: TrainState, *, rule: DensificationRule, density: Density, budget: int) -> Array:
     return rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
 
 
@@ -100,7 +100,7 @@ def with_room_to_densify(
     density: Density,
     most: int,
     *,
-    rule: Rule | None = None,
+    rule: DensificationRule | None = None,
 ) -> TrainState:
     """The state in buffers that hold what the next densification makes of it, as far as `most` allows.
 

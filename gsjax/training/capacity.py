@@ -17,7 +17,7 @@ from rasterizer.engines import resolve
 class Headroom(NamedTuple):
     """How many times longer than needed the pair buffer is made: a view that needs more costs another compilation."""
 
-    growth: float  # while Gaussians multiply
+    densifying: float  # while Gaussians densify
     still: float  # while they do not
 
 
@@ -32,7 +32,7 @@ SORTS_ALL = Headroom(2.0, STILL)  # in jnp every slot is sorted in every step, u
 def headroom(*, grows: bool) -> float:
     """How much longer than needed to make the pair buffer of a phase."""
     of_engine = HEADROOM.get(resolve("auto"), SORTS_ALL)
-    return of_engine.growth if grows else of_engine.still
+    return of_engine.densifying if grows else of_engine.still
 
 
 def largest_need(gaussians: Gaussians, data: Batches) -> int:

@@ -19,9 +19,9 @@ from gsjax.scene.batches import Batch, Batches
 from gsjax.settings import Settings
 from gsjax.training import buffers, data_parallel
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
+from gsjax.training.densification import gradient_driven
+from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.faults import faulty_terms, photo_of
-from gsjax.training.growth import adaptive
-from gsjax.training.growth.rules import Rule
 from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
@@ -149,7 +149,7 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
     return state
 
 
-def _with_statistics(state: TrainState, rule: Rule, is_new: bool) -> TrainState:
+def _with_statistics(state: TrainState, rule: DensificationRule, is_new: bool) -> TrainState:
     """The state with statistics of the rule: sums of another one, which a new rule finds, mean nothing to it."""
     empty = rule.empty_statistics(state.gaussians.num_gaussians)
     fits = jax.tree.structure(empty) == jax.tree.structure(state.statistics)
@@ -235,10 +235,10 @@ def _run_phase(
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         is_last = step == phase.end
         if phase.rule:
-            state = _control_density(work, phase.rule, step, state, key)
+            state = _densify_when_due(work, phase.rule, step, state, key)
         if is_last and phase.cull_below > 0:
             state = cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
-        if _ends_growth(plan, phase, step) or (is_last and phase.cull_below > 0):
+        if _ends_densification(plan, phase, step) or (is_last and phase.cull_below > 0):
             state = buffers.shorten(state, work.optimizer, plan.max_gaussians)
         if is_last and "sky" in phase.needs:
             in_sky = sky.lies_in(np.asarray(state.gaussians.means), work.frames, work.skies)
@@ -248,9 +248,9 @@ def _run_phase(
 
     def looks(step: int) -> bool:
         grows = phase.rule is not None and (
-            adaptive.densifies(plan.density, step)
-            or adaptive.resets_opacities(plan.density, step, plan.background)
-            or _ends_growth(plan, phase, step)
+            gradient_driven.densifies(plan.density, step)
+            or gradient_driven.resets_opacities(plan.density, step, plan.background)
+            or _ends_densification(plan, phase, step)
         )
         return grows or (work.looks is not None and work.looks(step))
 
@@ -307,16 +307,16 @@ def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
     return train_step
 
 
-def _ends_growth(plan: Plan, phase: PlannedPhase, step: int) -> bool:
+def _ends_densification(plan: Plan, phase: PlannedPhase, step: int) -> bool:
     """Whether Gaussians multiplied up to this step and never will again, with steps to come."""
     ends = [plan.density.stop, *(each.end for each in plan.phases[: plan.grown or 0][-1:])]
     return phase.rule is not None and step in ends and step < plan.steps
 
 
-def _control_density(work: Work, rule: Rule, step: int, state: TrainState, key: Array) -> TrainState:
+def _densify_when_due(work: Work, rule: DensificationRule, step: int, state: TrainState, key: Array) -> TrainState:
     plan, density = work.plan, work.plan.density
-    if adaptive.densifies(density, step):
-        large = np.bool_(adaptive.prunes_large(density, step))
+    if gradient_driven.densifies(density, step):
+        large = np.bool_(gradient_driven.prunes_large(density, step))
         state = buffers.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians, rule=rule)
         state = densify(
             state,
@@ -328,6 +328,6 @@ def _control_density(work: Work, rule: Rule, step: int, state: TrainState, key: 
             budget=plan.max_gaussians,
             rule=rule,
         )
-    if adaptive.resets_opacities(density, step, plan.background):
-        state = reset_opacities(state, optimizer=work.optimizer, limit=adaptive.RESET_OPACITY)
+    if gradient_driven.resets_opacities(density, step, plan.background):
+        state = reset_opacities(state, optimizer=work.optimizer, limit=gradient_driven.RESET_OPACITY)
     return state

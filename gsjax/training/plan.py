@@ -15,7 +15,7 @@ from gsjax.effects import transients
 from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
-from gsjax.training.growth.rules import Rule, rule_named
+from gsjax.training.densification.rules import DensificationRule, rule_named
 from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms, weights_of_data
 from gsjax.training.terms.checking import as_terms, check_term
 
@@ -32,7 +32,7 @@ class PlannedPhase:
     end: int  # and after its last one
     scale: int  # photos are so many times smaller in each direction
     terms: tuple[Weighed, ...]  # of non-zero weight
-    rule: Rule | None = None  # of density control; None: nobody multiplies
+    rule: DensificationRule | None = None  # of density control; None: nobody multiplies
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
     surface_every: int = 1  # one of so many steps has the dear terms
     surface_scale: int = 1  # photos of those steps are so many times smaller still
@@ -96,7 +96,7 @@ class Plan:
         return last if last < len(self.phases) else None
 
     def with_effects(self, names: Iterable[str]) -> Self:
-        """The plan of a run that simulates these effects: masks of transients make growth wait, a sky has a term."""
+        """The plan of a run that simulates these effects: masks of transients delay densification, a sky has a term."""
         names = tuple(names)
         growing = sum(phase.steps for phase in self.phases if phase.rule)
         density = transients.delay_growth(self.density, growing) if "transients" in names else self.density
@@ -209,7 +209,7 @@ def plan(
         settings: What was asked for.
         terms: The run's own terms of the loss by name, beside the library's or in their place. Of a bare function it is
             found out what it needs.
-        effects: Names of those that are simulated: masks of transients make growth wait.
+        effects: Names of those that are simulated: masks of transients delay densification.
 
     Raises:
         InputError: A weight has no term, or a term needs data that the run does not have.

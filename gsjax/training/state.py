@@ -14,8 +14,8 @@ from gsjax.effects.simulation import NO_EFFECTS, Effects, EffectState
 from gsjax.gaussians import Gaussians, is_alive
 from gsjax.settings import Density
 from gsjax.training import optimizers
-from gsjax.training.growth import adaptive as density_control
-from gsjax.training.growth.rules import RULES, Rule, rule_named
+from gsjax.training.densification import gradient_driven
+from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
 
 
 @jax.tree_util.register_dataclass
@@ -25,7 +25,7 @@ class TrainState:
 
     gaussians: Gaussians
     opt_state: Any
-    statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.growth.rules`
+    statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.densification.rules`
     step: Array  # [] int32 steps done
     effects: EffectState | None = None  # of those that are simulated
     # What `gsjax.densify` reads; a run's loop knows both itself.
@@ -36,7 +36,7 @@ class TrainState:
 def initial_state(
     gaussians: Gaussians,
     optimizer: optax.GradientTransformation,
-    rule: Rule = RULES["adc"],
+    rule: DensificationRule = DENSIFICATION_RULES["adc"],
     effects: Effects = NO_EFFECTS,
 ) -> TrainState:
     """Step 0."""
@@ -59,7 +59,7 @@ def densify(
     optimizer: optax.GradientTransformation,
     density: Density,
     budget: int,
-    rule: Rule | None = None,
+    rule: DensificationRule | None = None,
 ) -> TrainState:
     """Densify within `budget` Gaussians; moments follow their Gaussian, statistics start anew.
 
@@ -105,7 +105,7 @@ def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformatio
     opt_state = optimizers.map_moments(
         optimizer, lambda m: jnp.zeros_like(m) if m.shape == (capacity,) else m, state.opt_state
     )
-    gaussians = density_control.reset_opacities(state.gaussians, limit)
+    gaussians = gradient_driven.reset_opacities(state.gaussians, limit)
     return replace(state, gaussians=gaussians, opt_state=opt_state)
 
 
@@ -115,7 +115,7 @@ def cull(state: TrainState, *, optimizer: optax.GradientTransformation, min_opac
 
     The state is donated: its arrays are deleted, and only the returned state can be used from here on.
     """
-    return _with_fewer(state, density_control.cull(state.gaussians, min_opacity), optimizer)
+    return _with_fewer(state, gradient_driven.cull(state.gaussians, min_opacity), optimizer)
 
 
 @partial(jax.jit, static_argnames="optimizer", donate_argnums=0)
@@ -124,7 +124,7 @@ def remove(state: TrainState, chosen: Array, *, optimizer: optax.GradientTransfo
 
     The state is donated: its arrays are deleted, and only the returned state can be used from here on.
     """
-    return _with_fewer(state, density_control.kill(state.gaussians, chosen), optimizer)
+    return _with_fewer(state, gradient_driven.kill(state.gaussians, chosen), optimizer)
 
 
 def _with_fewer(state: TrainState, gaussians: Gaussians, optimizer: optax.GradientTransformation) -> TrainState:

@@ -22,8 +22,8 @@ from gsjax.rendering import View
 from gsjax.scene import batches
 from gsjax.scene.batches import Batch
 from gsjax.training import data_parallel, optimizers
+from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.dropout import leave_out
-from gsjax.training.growth.rules import Rule
 from gsjax.training.state import TrainState
 from gsjax.training.terms import Weighed, multi_view, needs
 
@@ -108,7 +108,7 @@ class _Objective:
     terms: Sequence[Weighed]
     capacity: int
     sh_every: int
-    rule: Rule | None
+    rule: DensificationRule | None
     depth_mode: rendering.DepthReading
     effects: Effects
     extent: float
@@ -168,7 +168,7 @@ def make_train_step(
     capacity: int,
     background: Background,
     sh_every: int,
-    rule: Rule | None,
+    rule: DensificationRule | None,
     depth_mode: rendering.DepthReading = "plane",
     effects: Effects = NO_EFFECTS,
     extent: float = 1.0,
@@ -252,7 +252,7 @@ def _of_all_views(metrics: Metrics, capacity: int) -> Metrics:
 
 def weighted_loss(
     terms: Sequence[Weighed],
-    rule: Rule | None,
+    rule: DensificationRule | None,
     gaussians: Gaussians,
     view: View,
     batch: Batch,

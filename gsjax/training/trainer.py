@@ -25,8 +25,8 @@ from gsjax.settings import Density, Rates
 from gsjax.training import optimizers
 from gsjax.training import state as states
 from gsjax.training.capacity import headroom, rounded_capacity
-from gsjax.training.growth import adaptive
-from gsjax.training.growth.rules import RULES, Rule
+from gsjax.training.densification import gradient_driven
+from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule
 from gsjax.training.state import TrainState
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms
@@ -79,16 +79,16 @@ def init(gaussians: Gaussians, optimizer: optax.GradientTransformation | Optimiz
 class Densification:
     """How a state densifies: a rule, its thresholds, and the camera extent that it measures distances in."""
 
-    rule: Rule
+    rule: DensificationRule
     density: Density
     extent: float  # scene units
 
 
-def densification(rule: str | Rule, optimizer: Any, **thresholds: Any) -> Densification:
+def densification(rule: str | DensificationRule, optimizer: Any, **thresholds: Any) -> Densification:
     """The densification of a training: over half of its steps, the budget full after 0.3 of them.
 
     Args:
-        rule: Name in `gsjax.training.growth.rules.RULES`, or a rule of one's own.
+        rule: Name in `gsjax.training.densification.rules.DENSIFICATION_RULES`, or a rule of one's own.
         optimizer: Of `adam`, which knows extent and steps.
         thresholds: Fields of `gsjax.settings.Density` that differ.
 
@@ -97,12 +97,14 @@ def densification(rule: str | Rule, optimizer: Any, **thresholds: Any) -> Densif
     """
     if not isinstance(optimizer, Optimizer):
         raise ValueError("densify='...' needs extent and steps: use gsjax.adam(...), or hand in a Densification")
-    if isinstance(rule, str) and rule not in RULES:
-        raise ValueError(f"densify={rule!r} is none of {', '.join(RULES)}")
+    if isinstance(rule, str) and rule not in DENSIFICATION_RULES:
+        raise ValueError(f"densify={rule!r} is none of {', '.join(DENSIFICATION_RULES)}")
     stop = max(1, round(DENSIFY_UNTIL * optimizer.steps))
     defaults = {"start": 0, "stop": stop, "full_by": FULL_BY, "reset_every": 0}
     return Densification(
-        RULES[rule] if isinstance(rule, str) else rule, Density(**{**defaults, **thresholds}), optimizer.extent
+        DENSIFICATION_RULES[rule] if isinstance(rule, str) else rule,
+        Density(**{**defaults, **thresholds}),
+        optimizer.extent,
     )
 
 
@@ -124,7 +126,7 @@ def densify(state: TrainState, key: Array) -> TrainState:
         state,
         key,
         jnp.float32(how.extent),
-        jnp.asarray(adaptive.prunes_large(how.density, step)),
+        jnp.asarray(gradient_driven.prunes_large(how.density, step)),
         optimizer=state.optimizer,
         density=how.density,
         rule=how.rule,
@@ -191,7 +193,7 @@ def train_step(
     optimizer: Any,
     losses: Losses,
     *,
-    densify: str | Rule | Densification | None = None,
+    densify: str | DensificationRule | Densification | None = None,
     background: str = "black",
     depth_mode: rendering.DepthReading = "front",
     sh_every: int | None = None,

@@ -269,7 +269,7 @@ def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monke
 )
 def test_a_run_that_begins_in_another_keeps_its_gaussians(scripts, monkeypatch, tmp_path, schedule, steps, kept):
     handed, earlier = [], tmp_path / "earlier/run"
-    monkeypatch.setattr(pipeline, "train", lambda *_, earlier, **__: handed.append(earlier) or {})
+    monkeypatch.setattr(pipeline, "train", lambda *_, warm_start, **__: handed.append(warm_start) or {})
     monkeypatch.setattr("gsjax.runs.run.Run.open", lambda run: SimpleNamespace(manifest={"steps": steps}))
     monkeypatch.setattr("gsjax.runs.result.open_result", lambda run: SimpleNamespace(gaussians="those at its end"))
     monkeypatch.setattr("gsjax.io.ply.write_gaussians", lambda file, gaussians: file.write_text(gaussians))

@@ -16,7 +16,7 @@ def made(scripts):
     scores = {("truck", 0): (24.0, 0.86), ("truck", 1): (25.0, 0.88), ("train", 0): (20.0, 0.74),
               ("train", 1): (22.0, 0.76), ("kitchen", 0): (30.125, 0.9)}  # fmt: skip
     measured = [Measured(scene, METHOD, seed, *pair, None, 9) for (scene, seed), pair in scores.items()]
-    return report.tables(measured, [METHOD], {"truck": "truck: growth was held at 5% & 3_000 Gaussians."})
+    return report.tables(measured, [METHOD], {"truck": "truck: limited to 5% & 3_000 Gaussians."})
 
 
 def rows_of(scripts, made):

@@ -79,7 +79,7 @@ def test_a_loss_of_ones_own_is_descended(loaded):
 
 
 def test_a_densification_rule_of_ones_own_decides(loaded):
-    rule = gsjax.RULES["error"]._replace(
+    rule = gsjax.DENSIFICATION_RULES["error"]._replace(
         wanted_count=lambda gaussians, statistics, density, *, step, budget: jnp.int32(850)
     )
     state, _ = composed(loaded, {"l1": 1.0}, densify=rule, steps=40)

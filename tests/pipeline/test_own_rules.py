@@ -4,11 +4,11 @@ from trained_run import SETTINGS, train_until_killed
 
 from gsjax import config, pipeline, runs
 from gsjax.settings import Settings
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 
 
 def test_a_registered_rule_trains_and_is_resumed_to_the_same_bits(scene, tmp_path, monkeypatch):
-    monkeypatch.setitem(RULES, "mine", RULES["error"])
+    monkeypatch.setitem(DENSIFICATION_RULES, "mine", DENSIFICATION_RULES["error"])
     settings = config.parse(
         Settings,
         config.merge(

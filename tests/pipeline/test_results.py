@@ -141,10 +141,10 @@ def test_pictures_have_the_size_of_their_views(run, tmp_path):
 def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_path, monkeypatch):
     asked = {}
 
-    def train(given, folder, settings, earlier):
+    def train(given, folder, settings, warm_start):
         asked[folder.name] = settings
         assert given == scene
-        assert earlier == (None if settings.schedule.vanilla else tmp_path / "demo/vanilla")
+        assert warm_start == (None if settings.schedule.vanilla else tmp_path / "demo/vanilla")
         shutil.copytree(run, folder)
 
     small = SimpleNamespace(

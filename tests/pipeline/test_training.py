@@ -17,7 +17,7 @@ from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.pipeline.train import _planned
 from gsjax.pipeline.training_journal import TrainingJournal
-from gsjax.planning import holding_back, sparse_views
+from gsjax.planning import sparse_view_trial, sparse_views
 from gsjax.planning.sparse_views import Gain
 from gsjax.presets import PRESETS
 from gsjax.runs.result import scene_of_run
@@ -118,25 +118,25 @@ def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene,
     train_until_killed(8, scene, tmp_path / "run", settings)
     assert asked == [900] and "train: found some\n" in capsys.readouterr().err
     pipeline.train(scene, tmp_path / "run", settings, resume=True)
-    pipeline.train(scene, tmp_path / "other", settings, earlier=tmp_path / "run")
+    pipeline.train(scene, tmp_path / "other", settings, warm_start=tmp_path / "run")
     assert asked == [900] and "found some" not in capsys.readouterr().err
     assert (tmp_path / "run/gaussians.ply").read_bytes() != (run / "gaussians.ply").read_bytes()
 
 
-def test_trials_of_holding_back_are_made_once_and_a_run_goes_on_as_they_said(scene, tmp_path, monkeypatch, capsys):
+def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, tmp_path, monkeypatch, capsys):
     asked = []
 
     def helps(scene, settings, held_back):
         asked.append([frame.name for frame in scene.train_frames])
         return Gain(0.5, 0.1)
 
-    monkeypatch.setattr(holding_back, "gain", helps)
+    monkeypatch.setattr(sparse_view_trial, "gain", helps)
     monkeypatch.setattr(sparse_views, "SHORTEST", 30)
     settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"sparse_views": True}}))
     train_until_killed(8, scene, tmp_path / "run", settings)
     line = "held back to 450 Gaussians, each step leaves out 20% of them (photos kept from short trials: +0.5 +-0.1 dB)"
     assert line in capsys.readouterr().err
-    for name, how in {"run": {"resume": True}, "other": {"earlier": tmp_path / "run"}}.items():
+    for name, how in {"run": {"resume": True}, "other": {"warm_start": tmp_path / "run"}}.items():
         pipeline.train(scene, tmp_path / name, settings, **how)
         assert "short trials: +0.5 +-0.1 dB" in capsys.readouterr().err
         plan = json_files.read(tmp_path / name / "plan.json")
@@ -147,7 +147,7 @@ def test_trials_of_holding_back_are_made_once_and_a_run_goes_on_as_they_said(sce
         (tmp_path / "run/manifest.json").read_text().replace('"held_back": true', '"held_back": 7')
     )
     with pytest.raises(InputError, match="manifest.json: sparse_views.held_back"):
-        pipeline.train(scene, tmp_path / "third", settings, earlier=tmp_path / "run")
+        pipeline.train(scene, tmp_path / "third", settings, warm_start=tmp_path / "run")
 
 
 def test_the_loop_compares_photos_as_often_as_the_gate_says(scene, tmp_path, monkeypatch):
@@ -175,7 +175,7 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_pa
         SETTINGS, {"schedule": {"phases": SETTINGS["schedule"]["phases"][:1]}, "rates": {"decay_steps": 30}}
     )
     pipeline.train(scene, begun, config.parse(Settings, first))
-    pipeline.train(scene, whole, config.parse(Settings, SETTINGS), earlier=begun)
+    pipeline.train(scene, whole, config.parse(Settings, SETTINGS), warm_start=begun)
     assert (whole / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert [record["step"] for record in runs.read_metrics(whole)] == [5, 10, 12, 15, 20, 25, 30]
 
@@ -185,16 +185,16 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_pa
     early = list((begun / "checkpoints").iterdir())
     for later in (run / "checkpoints").iterdir():
         shutil.copy(later, begun / "checkpoints")
-    pipeline.train(scene, tmp_path / "parted", config.parse(Settings, SETTINGS), earlier=begun)
+    pipeline.train(scene, tmp_path / "parted", config.parse(Settings, SETTINGS), warm_start=begun)
     assert (tmp_path / "parted/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     for file in early:
         file.unlink()
     with pytest.raises(InputError, match="begun: has no checkpoint of the 12 steps that this run has in common"):
-        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), earlier=begun)
+        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), warm_start=begun)
 
     shutil.rmtree(begun / "checkpoints")
     with pytest.raises(InputError, match="begun: has no checkpoint to begin from"):
-        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), earlier=begun)
+        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), warm_start=begun)
     assert not (tmp_path / "none").exists()
 
 
@@ -204,7 +204,7 @@ def test_a_run_that_begins_within_a_phase_of_another_compares_with_the_normals_o
         SETTINGS, {"schedule": {"phases": [*before, {**surface, "steps": 5}]}, "rates": {"decay_steps": 30}}
     )
     pipeline.train(scene, tmp_path / "shorter", config.parse(Settings, shorter))
-    pipeline.train(scene, tmp_path / "whole", config.parse(Settings, SETTINGS), earlier=tmp_path / "shorter")
+    pipeline.train(scene, tmp_path / "whole", config.parse(Settings, SETTINGS), warm_start=tmp_path / "shorter")
     assert (tmp_path / "whole/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     for file in (run / "normals").iterdir():
         assert (tmp_path / "whole/normals" / file.name).read_bytes() == file.read_bytes()

@@ -20,7 +20,7 @@ from gsjax.scene.cameras import center
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import data_parallel
 from gsjax.training.data_parallel import device_mesh
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.loop import Work, follow
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
@@ -78,7 +78,9 @@ def effects_of(is_on):
 
 def start(rule):
     """A state of its own: a step takes its buffers."""
-    state = initial_state(cloud(ALIVE, capacity=ROWS, seed=1), RECORDER, RULES[rule], effects_of(CASES[rule][1]))
+    state = initial_state(
+        cloud(ALIVE, capacity=ROWS, seed=1), RECORDER, DENSIFICATION_RULES[rule], effects_of(CASES[rule][1])
+    )
     return replace(state, step=jnp.int32(3))
 
 
@@ -90,7 +92,7 @@ def make_step(rule, **more):
         **{"capacity": PAIRS, **more},
         background=BACKGROUNDS["random"],
         sh_every=2,
-        rule=RULES[rule],
+        rule=DENSIFICATION_RULES[rule],
         depth_mode="front",
         effects=effects_of(is_on),
         extent=EXTENT,
@@ -178,7 +180,11 @@ def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_
 
     def fitted(num_devices, state=None):
         mesh, told = device_mesh(num_devices, 2), []
-        state = initial_state(cloud(30, capacity=ROWS, seed=1), optimizer, RULES["adc"]) if state is None else state
+        state = (
+            initial_state(cloud(30, capacity=ROWS, seed=1), optimizer, DENSIFICATION_RULES["adc"])
+            if state is None
+            else state
+        )
         work = Work(
             plan(SETTINGS),
             frames,

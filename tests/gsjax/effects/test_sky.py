@@ -24,7 +24,7 @@ from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels
 from gsjax.scene.batches import decode, read_batches, with_skies
 from gsjax.scene.cameras import Camera, look_at
 from gsjax.settings import EffectChoice, Model, Rates, Settings
-from gsjax.training.growth.adaptive import is_alive
+from gsjax.training.densification.gradient_driven import is_alive
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
 

@@ -9,9 +9,9 @@ import pytest
 from gsjax.settings import Density, Phase, Rates, Schedule, Settings
 from gsjax.training import buffers, loop
 from gsjax.training.buffers import bucket, lengthen, shorten, with_room_to_densify
-from gsjax.training.growth.adaptive import GrowthStatistics
-from gsjax.training.growth.error_driven import ErrorStatistics
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification.error_driven import ErrorStatistics
+from gsjax.training.densification.gradient_driven import GradientStatistics
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import from_points
 from gsjax.training.optimizers import apply_gradients, make_optimizer
 from gsjax.training.plan import plan
@@ -27,14 +27,14 @@ def trained(capacity, rule="adc"):
     """A state of twenty living rows with moments and statistics, in a buffer of so many rows."""
     points = np.random.default_rng(0).normal(size=(ALIVE, 3))
     gaussians = from_points(points, np.full((ALIVE, 3), 0.4), capacity=capacity, sh_degree=1)
-    state = initial_state(gaussians, OPTIMIZER, RULES[rule])
+    state = initial_state(gaussians, OPTIMIZER, DENSIFICATION_RULES[rule])
     alive = (np.arange(capacity) < ALIVE).astype(np.float32)
     gradients = jax.tree.map(
         lambda x: jnp.asarray(alive.reshape(-1, *[1] * (x.ndim - 1)) * np.ones(x.shape, np.float32)), gaussians
     )
     moved, opt_state = apply_gradients(OPTIMIZER, gaussians, state.opt_state, gradients)
     rising = jnp.asarray(alive * np.arange(capacity) / ALIVE, jnp.float32)
-    kinds = {"adc": GrowthStatistics, "error": partial(ErrorStatistics, 2 * rising)}
+    kinds = {"adc": GradientStatistics, "error": partial(ErrorStatistics, 2 * rising)}
     more = {"adc": (), "error": (3 * rising,)}
     statistics = kinds[rule](rising, jnp.asarray(alive), *more[rule])
     return replace(state, gaussians=moved, opt_state=opt_state, statistics=statistics)
@@ -69,7 +69,7 @@ def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
     assert lengthen(state, OPTIMIZER, SHORT) is state
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", DENSIFICATION_RULES)
 def test_a_shortened_state_has_the_living_in_their_order_with_all_that_is_theirs(monkeypatch, rule):
     monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
     monkeypatch.setattr(buffers, "ROUND", 8)
@@ -101,7 +101,7 @@ def test_buffers_that_are_as_short_as_can_be_stay(monkeypatch):
     assert shorten(emptied, OPTIMIZER, LONG).gaussians.num_gaussians == 8
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", DENSIFICATION_RULES)
 def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of_the_whole_budget(monkeypatch, rule):
     monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
     key, density = jax.random.key(1), DENSITY[rule]
@@ -125,9 +125,9 @@ def test_rows_are_added_only_when_they_are_wanted_and_allowed(most):
 
 
 @pytest.mark.parametrize(("stop", "ends"), [(4, [4, 6]), (6, [6]), (20, [6])])
-def test_growth_ends_at_its_stop_and_with_the_last_phase_that_has_it(stop, ends):
+def test_densification_ends_at_its_stop_and_with_the_last_phase_that_has_it(stop, ends):
     phases = Phase("coarse", 3, density_control=True), Phase("vanilla", 3, density_control=True), Phase("surface", 5)
     for steps, expected in ((phases, ends), (phases[:2], [step for step in ends if step < 6])):
         planned = plan(Settings(schedule=Schedule(phases=steps), density=Density(start=1, stop=stop, every=2)))
         every = [(phase, step) for phase in planned.phases for step in range(phase.begin + 1, phase.end + 1)]
-        assert [step for phase, step in every if loop._ends_growth(planned, phase, step)] == expected
+        assert [step for phase, step in every if loop._ends_densification(planned, phase, step)] == expected

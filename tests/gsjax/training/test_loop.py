@@ -14,9 +14,9 @@ from gsjax.gaussians import opacities, take
 from gsjax.scene import batches, with_pixels
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import buffers, loop
-from gsjax.training.growth import adaptive
-from gsjax.training.growth.adaptive import is_alive
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification import gradient_driven
+from gsjax.training.densification.gradient_driven import is_alive
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
@@ -49,7 +49,7 @@ def start():
 def high_reset():
     """Opacities are reset to what leaves some of these few steps' Gaussians above the cull."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(adaptive, "RESET_OPACITY", 0.7)
+        patch.setattr(gradient_driven, "RESET_OPACITY", 0.7)
         yield
 
 
@@ -142,7 +142,7 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
         for step in range(1, 9):
             planned = plan(SETTINGS.replace(density=chosen, model={"background": "white"}))
             work = loop.Work(planned, (), EXTENT, OPTIMIZER, lambda state: [], lambda progress: None)
-            loop._control_density(work, RULES["adc"], step, step, jax.random.key(0))
+            loop._densify_when_due(work, DENSIFICATION_RULES["adc"], step, step, jax.random.key(0))
         calls.append("end")
     with_resets = ["reset", (4, False), "reset", (6, True), (8, True), "end"]  # at 2, 4, 5, 6 and 8
     assert calls == [*with_resets, (4, True), (6, True), (8, True), "end"]
@@ -263,7 +263,7 @@ def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bit
     )
 
     def start():
-        return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER, RULES["error"])
+        return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER, DENSIFICATION_RULES["error"])
 
     run = fitted(frames, settings, start())
     assert [int(count_alive(s.gaussians)) for s in run.states] == [ALIVE, *[CAPACITY] * 5]
@@ -276,7 +276,13 @@ def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bit
 
 def test_the_next_run_of_the_same_settings_finds_its_programs():
     """Other numbers anywhere are another program; effects hold numbers of their run."""
-    how = {"capacity": 128, "background": BACKGROUNDS["white"], "sh_every": 4, "rule": RULES["error"], "extent": EXTENT}
+    how = {
+        "capacity": 128,
+        "background": BACKGROUNDS["white"],
+        "sh_every": 4,
+        "rule": DENSIFICATION_RULES["error"],
+        "extent": EXTENT,
+    }
     optimizer, plain, alike = make_optimizer(Rates(), EXTENT, 11), weigh_terms(PLAIN), weigh_terms(Weights(dssim=0.0))
     step = loop.kept_step(optimizer, plain, effects=NO_EFFECTS, **how)
     assert loop.kept_step(make_optimizer(Rates(), EXTENT, 11), alike, effects={}, **how) is step

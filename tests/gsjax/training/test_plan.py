@@ -99,7 +99,7 @@ def test_every_preset_may_be_taken_in_larger_steps(preset, views):
     assert larger.rates.means == pytest.approx(math.sqrt(views) * settings.rates.means)
 
 
-def test_masks_of_transients_make_growth_wait():
+def test_masks_of_transients_delay_densification():
     assert plan(SETTINGS, effects=["exposure"]).density == SETTINGS.density
     assert plan(SETTINGS, effects=["transients"]).density.start > SETTINGS.density.start
 

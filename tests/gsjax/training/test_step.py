@@ -15,8 +15,8 @@ from gsjax.metrics.images import psnr
 from gsjax.scene import batches
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training.capacity import chosen_capacity, kept_or, largest_need
-from gsjax.training.growth import adaptive as density_control
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification import gradient_driven
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
@@ -41,7 +41,7 @@ def setup(empty_caches):
         capacity=PAIRS,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
-        rule=RULES["adc"],
+        rule=DENSIFICATION_RULES["adc"],
     )
     data = batches.read_batches(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
     return SimpleNamespace(optimizer=optimizer, step=step, data=data)
@@ -129,7 +129,7 @@ def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
         capacity=64,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
-        rule=RULES["adc"],
+        rule=DENSIFICATION_RULES["adc"],
     )
     before = copied(state)
     after, metrics = narrow(state, setup.data.views[2], KEY)
@@ -183,7 +183,7 @@ def test_a_step_learns_of_those_that_it_draws_alone(setup):
         capacity=PAIRS,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
-        rule=RULES["adc"],
+        rule=DENSIFICATION_RULES["adc"],
         dropout=0.5,
     )
     stays = jax.random.uniform(jax.random.fold_in(jax.random.fold_in(KEY, 0), 3), (CAPACITY,), jnp.float32) >= 0.5
@@ -226,7 +226,7 @@ def test_densification_moves_moments_with_their_gaussians(setup):
     # Room for 20: the threshold lets 30 ask; those under 0.1 units are cloned, the others split.
     density = Density(gradient=float(np.sort(mean_gradient)[-30]), dense_share=0.25, min_opacity=0.0)
     before = jax.tree.map(np.array, state)
-    expected, moved = density_control.densify(
+    expected, moved = gradient_driven.densify(
         state.gaussians,
         state.statistics,
         jax.random.fold_in(KEY, state.step),

@@ -18,7 +18,7 @@ from gsjax.rendering import backdrop, gallery
 from gsjax.scene import batches
 from gsjax.scene.cameras import center
 from gsjax.settings import Rates, Weights
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
@@ -38,12 +38,17 @@ ADDRESS = re.compile(r"0x[0-9a-f]+")  # Of functions, in the text of a program.
 
 
 def options(rule):
-    return {"capacity": 8192, "background": BACKGROUNDS["black"], "sh_every": 2, "rule": rule and RULES[rule]}
+    return {
+        "capacity": 8192,
+        "background": BACKGROUNDS["black"],
+        "sh_every": 2,
+        "rule": rule and DENSIFICATION_RULES[rule],
+    }
 
 
 def start(effects=None, rule="adc"):
     gaussians = cloud(180, capacity=200, seed=1)
-    return initial_state(gaussians, OPTIMIZER, RULES[rule], *([effects] if effects else []))
+    return initial_state(gaussians, OPTIMIZER, DENSIFICATION_RULES[rule], *([effects] if effects else []))
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +134,7 @@ def retaken(data):
 def learned(retaken):
     """The numbers of both after 120 steps from the true scene."""
     targets, effects, step, _ = retaken
-    state = initial_state(cloud(200, seed=5), OPTIMIZER, RULES["adc"], effects)
+    state = initial_state(cloud(200, seed=5), OPTIMIZER, DENSIFICATION_RULES["adc"], effects)
     for index in range(120):
         state, _ = step(state, targets[index % 3], KEY)
     return state.effects.numbers

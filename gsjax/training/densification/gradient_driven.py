@@ -20,7 +20,7 @@ LARGE_SHARE = 0.2  # Of `density.stop`: where nothing resets opacities, size pru
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class GrowthStatistics:
+class GradientStatistics:
     """What decides who grows, summed since the last densification."""
 
     gradient: Array  # [N] norms of the loss' gradient to the 2D mean, NDC units
@@ -59,25 +59,25 @@ def resets_opacities(density: Density, step: int, background: str) -> bool:
     return step % density.reset_every == 0 or (background == "white" and step == density.start)
 
 
-def empty_statistics(capacity: int) -> GrowthStatistics:
+def empty_statistics(capacity: int) -> GradientStatistics:
     """Zero sums."""
-    return GrowthStatistics(jnp.zeros(capacity, jnp.float32), jnp.zeros(capacity, jnp.float32))
+    return GradientStatistics(jnp.zeros(capacity, jnp.float32), jnp.zeros(capacity, jnp.float32))
 
 
 def accumulate(
-    statistics: GrowthStatistics, means2d_gradient: Array, visible: Array, distances: Array, size: Array
-) -> GrowthStatistics:
+    statistics: GradientStatistics, means2d_gradient: Array, visible: Array, distances: Array, size: Array
+) -> GradientStatistics:
     """Add one view: `means2d_gradient` `[N, 2]` in 1 / pixels becomes NDC units (times half the photo's `[2]` size)."""
     del distances
     ndc = means2d_gradient * (0.5 * size.astype(jnp.float32))[None]
     norm = jnp.sqrt(jnp.sum(ndc * ndc, -1))
-    return GrowthStatistics(
+    return GradientStatistics(
         statistics.gradient + jnp.where(visible, norm, 0), statistics.views + visible.astype(jnp.float32)
     )
 
 
 def wanted_count(
-    gaussians: Gaussians, statistics: GrowthStatistics, density: Density, *, step: Array, budget: int
+    gaussians: Gaussians, statistics: GradientStatistics, density: Density, *, step: Array, budget: int
 ) -> Array:
     """`[]` int32 Gaussians that the densification after this step asks for; within the budget it gets them."""
     del step, budget
@@ -88,7 +88,7 @@ def wanted_count(
 
 def densify(
     gaussians: Gaussians,
-    statistics: GrowthStatistics,
+    statistics: GradientStatistics,
     key: Array,
     *,
     density: Density,

@@ -10,21 +10,21 @@ from gsjax.runs.run import Run
 from gsjax.training.plan import Plan, steps_in_common
 
 
-def shared_steps(earlier: Path, planned: Plan) -> int:
+def shared_steps(warm_start: Path, planned: Plan) -> int:
     """How many steps a plan has in common with a run.
 
     Raises:
         InputError: The run has no checkpoint of them.
     """
-    steps = steps_in_common(Run.open(earlier).plan, planned.record())
-    if runs.latest_checkpoint(earlier, steps) is None:
-        raise InputError(f"{earlier}: has no checkpoint of the {steps} steps that this run has in common with it")
+    steps = steps_in_common(Run.open(warm_start).plan, planned.record())
+    if runs.latest_checkpoint(warm_start, steps) is None:
+        raise InputError(f"{warm_start}: has no checkpoint of the {steps} steps that this run has in common with it")
     return steps
 
 
-def take_normals(earlier: Path, run: Path, planned: Plan, step: int) -> None:
+def take_normals(warm_start: Path, run: Path, planned: Plan, step: int) -> None:
     """Copies the normals that steps before `step` were compared with: drawn from later Gaussians they were others."""
-    source, target = earlier / "normals", run / "normals"
+    source, target = warm_start / "normals", run / "normals"
     read_before = any("normals" in phase.needs and phase.begin < step for phase in planned.phases)
     if read_before and source.is_dir() and not target.exists():
         with atomic_folder(target) as made:

@@ -7,8 +7,8 @@ import pytest
 from small_scenes import built_in
 
 from gsjax.io.scenes import load_scene
-from gsjax.planning import holding_back, validation
-from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, Score, gain
+from gsjax.planning import sparse_view_trial, validation
+from gsjax.planning.sparse_view_trial import FEWEST_FOLDS, FOLDS, Score, gain
 from gsjax.scene import Pixels, Tracks, frame_of, with_pixels
 from gsjax.scene.cameras import Camera
 from gsjax.settings import Model, Phase, Schedule, Settings
@@ -83,8 +83,8 @@ def told(monkeypatch):
         numbers = [int(name[:3]) for name in trials[-1][1]]
         return [Score(scores[i], offs.get(i)) if is_held else Score(0.0, 0.1) for i in numbers]
 
-    monkeypatch.setattr(holding_back, "_scored", score)
-    monkeypatch.setattr(holding_back, "training_extent", lambda scene: 1.0)
+    monkeypatch.setattr(sparse_view_trial, "_scored", score)
+    monkeypatch.setattr(sparse_view_trial, "training_extent", lambda scene: 1.0)
     return trials, scores, offs
 
 
@@ -118,7 +118,7 @@ def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, 
         given.append(matched)
         return [Score(0.0, None)] * 2
 
-    monkeypatch.setattr(holding_back, "_scored", score)
+    monkeypatch.setattr(sparse_view_trial, "_scored", score)
     last = len(scene.points) - 1
     tracks = Tracks((scene.frames[0].name,), np.zeros(2, int), np.array([0, last]), np.zeros((2, 2)))
     gain(
@@ -165,10 +165,10 @@ def test_depth_is_off_by_what_matched_points_say():
     above[8:] = False  # those at two are masked
 
     def off(depth, *points, valid=whole):
-        return holding_back._off(depth, valid, camera, np.concatenate(points))
+        return sparse_view_trial._off(depth, valid, camera, np.concatenate(points))
 
     assert off(wall, at_two, at_four, *unseen) == pytest.approx(0.5)
-    assert off(wall, at_two, at_two) == holding_back.LEAST_OFF
+    assert off(wall, at_two, at_two) == sparse_view_trial.LEAST_OFF
     assert off(np.zeros((16, 16)), at_four, at_four) == 1.0, "nothing is shown"
     assert off(wall, at_two, *unseen) is None
     assert off(wall, at_two, at_two, at_two, at_four, at_four, valid=above) == pytest.approx(0.5)

@@ -13,10 +13,10 @@ from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, sh_
 from gsjax.scene import Pixels, batches, extent, frame_of
 from gsjax.scene.cameras import Camera, world_to_camera
 from gsjax.settings import Density, Rates, Weights
-from gsjax.training.growth import error_driven
-from gsjax.training.growth.adaptive import densifies, is_alive
-from gsjax.training.growth.error_driven import ErrorStatistics
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification import error_driven
+from gsjax.training.densification.error_driven import ErrorStatistics
+from gsjax.training.densification.gradient_driven import densifies, is_alive
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import DEAD_LOGIT, far_points, from_points
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
@@ -240,9 +240,9 @@ def setup():
         )
 
     def start():
-        return initial_state(cloud(ALIVE, capacity=ROWS, seed=1), optimizer, RULES["error"])
+        return initial_state(cloud(ALIVE, capacity=ROWS, seed=1), optimizer, DENSIFICATION_RULES["error"])
 
-    return SimpleNamespace(data=data, step=step, start=start, seeing=step(RULES["error"]))
+    return SimpleNamespace(data=data, step=step, start=start, seeing=step(DENSIFICATION_RULES["error"]))
 
 
 def dense_weights(gaussians: Gaussians, camera: Camera):

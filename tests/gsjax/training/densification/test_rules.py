@@ -13,8 +13,8 @@ from gsjax.gaussians import DEAD_LOGIT
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import buffers
 from gsjax.training import state as states
-from gsjax.training.growth.adaptive import Moves
-from gsjax.training.growth.rules import RULES
+from gsjax.training.densification.gradient_driven import Moves
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.loop import Work, follow
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
@@ -49,7 +49,7 @@ def _doubled(gaussians, statistics, key, *, density, extent, prune_large, count)
     return jax.tree.map(lambda each: each[source], gaussians), Moves(source, fresh)
 
 
-DOUBLING = RULES["adc"]._replace(  # Under `gradient=1e9` the rule of 3DGS never grows anything.
+DOUBLING = DENSIFICATION_RULES["adc"]._replace(  # Under `gradient=1e9` the rule of 3DGS never grows anything.
     empty_statistics=lambda count: {"seen": jnp.zeros(count, jnp.float32)},
     accumulate=lambda sums, gradient, seen, distances, size: {"seen": sums["seen"] + seen.astype(jnp.float32)},
     wanted_count=_wanted,
@@ -83,11 +83,11 @@ def test_the_rule_of_a_phase_gathers_makes_room_and_densifies(frames, monkeypatc
     assert watched[1].gaussians.num_gaussians == ROWS < 2 * ALIVE <= watched[2].gaussians.num_gaussians
 
 
-@pytest.mark.parametrize("begins_with", [DOUBLING, RULES["error"]])
+@pytest.mark.parametrize("begins_with", [DOUBLING, DENSIFICATION_RULES["error"]])
 def test_a_phase_with_another_rule_begins_with_sums_of_its_own(frames, monkeypatch, begins_with):
     """Also a first phase, whose state was made for the rule of 3DGS."""
     state = initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER)
-    watched = trained(frames, (begins_with, RULES["adc"]), state, monkeypatch)
+    watched = trained(frames, (begins_with, DENSIFICATION_RULES["adc"]), state, monkeypatch)
     assert watched[6].statistics.views.max() == 1, "after the first step of the second phase"
     assert watched[-1].statistics.views.shape == (watched[-1].gaussians.num_gaussians,)
 

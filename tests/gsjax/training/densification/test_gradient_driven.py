@@ -7,8 +7,8 @@ from tolerances import assert_close
 
 from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales
 from gsjax.settings import Density
-from gsjax.training.growth import adaptive as control
-from gsjax.training.growth.adaptive import GrowthStatistics
+from gsjax.training.densification import gradient_driven as control
+from gsjax.training.densification.gradient_driven import GradientStatistics
 from gsjax.training.initialize import DEAD_LOGIT
 
 EXTENT = 10.0
@@ -33,7 +33,7 @@ def gradients(mean_of, views=4):
     """Statistics over some views whose mean gradient is `mean_of[row]`, else 0."""
     sums = np.zeros(CAPACITY, np.float32)
     sums[list(mean_of)] = np.array(list(mean_of.values())) * views
-    return GrowthStatistics(jnp.asarray(sums), jnp.full(CAPACITY, views, jnp.float32))
+    return GradientStatistics(jnp.asarray(sums), jnp.full(CAPACITY, views, jnp.float32))
 
 
 @jax.jit
@@ -73,7 +73,7 @@ def test_a_small_gaussian_is_cloned_and_the_original_keeps_its_state():
 
 
 @pytest.mark.parametrize(("mean", "grows"), [(0.4999, False), (0.5, True)])
-def test_the_threshold_of_growth_is_inclusive(mean, grows):
+def test_the_threshold_of_densification_is_inclusive(mean, grows):
     after, _ = densified(scene(), gradients({2: mean}))
     assert alive(after).sum() == ALIVE + grows
 
@@ -229,7 +229,7 @@ def test_opacities_are_reset_now_and_then_and_at_the_start_over_white(background
 
 
 def test_a_gaussian_never_seen_does_not_grow():
-    unseen = GrowthStatistics(jnp.zeros(CAPACITY, jnp.float32), jnp.zeros(CAPACITY, jnp.float32))
+    unseen = GradientStatistics(jnp.zeros(CAPACITY, jnp.float32), jnp.zeros(CAPACITY, jnp.float32))
     after, _ = densified(scene(), unseen)
     assert alive(after).sum() == ALIVE
 

@@ -1,4 +1,4 @@
-"""Who gets the budget of Gaussians: the rules of density control by name (`density.rule`)."""
+"""The densification rules by name (`density.rule`)."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,11 +9,10 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.rendering import View
 from gsjax.scene.batches import Batch
-from gsjax.training.growth import adaptive as density_control
-from gsjax.training.growth import error_driven
+from gsjax.training.densification import error_driven, gradient_driven
 
 
-class Rule(NamedTuple):
+class DensificationRule(NamedTuple):
     """What a rule sees of every Gaussian in every view, and what it makes of the sums.
 
     What it sees is the gradient of the loss to a probe of zeros `[N, 2]`. Statistics are a pytree of `[N]` arrays.
@@ -24,20 +23,20 @@ class Rule(NamedTuple):
     empty_statistics: Callable[[int], Any]  # rows -> sums of nothing
     # (sums, gradient, `[N]` visible, `[N]` depths in camera extents, `[2]` size of the photo) -> sums
     accumulate: Callable[[Any, Array, Array, Array, Array], Any]
-    wanted_count: Callable[..., Array]  # how many there shall be, see `density_control.wanted_count`
-    densify: Callable[..., tuple[Gaussians, density_control.Moves]]  # see `density_control.densify`
+    wanted_count: Callable[..., Array]  # how many there shall be, see `gradient_driven.wanted_count`
+    densify: Callable[..., tuple[Gaussians, gradient_driven.Moves]]  # see `gradient_driven.densify`
 
 
-RULES: dict[str, Rule] = {
-    "adc": Rule(
+DENSIFICATION_RULES: dict[str, DensificationRule] = {
+    "adc": DensificationRule(
         "means2d_probe",
         lambda view, batch: 0.0,
-        density_control.empty_statistics,
-        density_control.accumulate,
-        density_control.wanted_count,
-        density_control.densify,
+        gradient_driven.empty_statistics,
+        gradient_driven.accumulate,
+        gradient_driven.wanted_count,
+        gradient_driven.densify,
     ),
-    "error": Rule(
+    "error": DensificationRule(
         "extra",
         error_driven.probe_loss,
         error_driven.empty_statistics,
@@ -49,12 +48,12 @@ RULES: dict[str, Rule] = {
 """`adc`: clone and split by the gradient to the 2D mean (3DGS). `error`: by the error that a Gaussian answers for."""
 
 
-def rule_named(name: str) -> Rule:
+def rule_named(name: str) -> DensificationRule:
     """The rule of a name.
 
     Raises:
         InputError: There is none.
     """
-    if name not in RULES:
-        raise InputError(f"density.rule={name!r} is none of {', '.join(RULES)}")
-    return RULES[name]
+    if name not in DENSIFICATION_RULES:
+        raise InputError(f"density.rule={name!r} is none of {', '.join(DENSIFICATION_RULES)}")
+    return DENSIFICATION_RULES[name]

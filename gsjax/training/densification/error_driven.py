@@ -16,7 +16,7 @@ from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation
 from gsjax.rendering import View
 from gsjax.scene.batches import Batch
 from gsjax.settings import Density
-from gsjax.training.growth.adaptive import Moves
+from gsjax.training.densification.gradient_driven import Moves
 
 SHORTER = 0.6  # A half's deviation along the axis that splits, in those of the whole; the others stay.
 APART = (1 - SHORTER**2) ** 0.5  # And how far off it sits: both halves together spread as the whole did.

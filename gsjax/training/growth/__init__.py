@@ -1,1 +1,0 @@
-"""Who gets the budget of Gaussians: the rules of density control."""
