@@ -13,7 +13,8 @@ CHECKED = (
     "README.md",
     *(f"docs/{page}.md" for page in ("api", "contributing", "differentiation", "own_loop", "tasks/share")),
     "experiments",
-    *(f"gsjax/{part}" for part in ("analytic", "cli", "config.py", "gaussians.py", "numerics.py", "runs", "sharing")),
+    *(f"gsjax/{part}" for part in ("analytic", "cli", "config.py", "gaussians.py", "io", "networks", "numerics.py")),
+    *(f"gsjax/{part}" for part in ("report", "runs", "scene", "sharing", "viewer")),
 )
 """Folders and files whose docstrings, pages and help texts have no word of `WORDS`, and no name of `PARTICIPLES`."""
 

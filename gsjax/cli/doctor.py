@@ -31,7 +31,7 @@ def run(json: bool = False) -> int:
     for finding in examine():
         findings.append(finding)
         if not json:
-            print(f"{'ok ' if finding.is_fine else 'BAD'}  {finding.name:<32}{finding.told}", flush=True)
+            print(f"{'ok ' if finding.is_fine else 'BAD'}  {finding.name:<32}{finding.result}", flush=True)
             if not finding.is_fine:
                 print(f"     {'':<32}type: {finding.remedy}")
     is_well = all(finding.is_fine for finding in findings)

@@ -49,7 +49,7 @@ class _Samples(NamedTuple):
     points: np.ndarray  # [P, 3] float32 world
     normals: np.ndarray  # [P, 3] float32 unit, world
     on_table: np.ndarray  # [P] bool, else on a solid
-    seen: np.ndarray  # [V, P] bool by view
+    visible: np.ndarray  # [V, P] bool by view
 
 
 def write(
@@ -135,8 +135,8 @@ def _seen_samples(surface: Mesh, cameras: list[Camera], seed: int) -> _Samples:
 
 def _truth_points(samples: _Samples) -> dict[str, np.ndarray]:
     """Surface samples that enough training views see (all of these, where there are fewer)."""
-    training = np.arange(len(samples.seen)) % HELD_OUT_EVERY != 0
-    views = samples.seen[training].sum(axis=0)
+    training = np.arange(len(samples.visible)) % HELD_OUT_EVERY != 0
+    views = samples.visible[training].sum(axis=0)
     usable = views >= min(TRUTH_VIEWS, training.sum())
     usable &= ~samples.on_table | (np.abs(samples.points[:, :2]).max(axis=1) < TRUTH_HALF)
     chosen = _first_of_each(usable, samples.on_table, TRUTH_SAMPLES)
@@ -158,8 +158,8 @@ def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: i
     """Poses, and noisy points with the pixels of the views that see them, as structure from motion leaves them."""
     pycolmap = require("pycolmap")
     rng = np.random.default_rng(seed)
-    chosen = _first_of_each(samples.seen.sum(axis=0) >= 2, samples.on_table, SPARSE_POINTS)
-    points, seen = samples.points[chosen], _limited(samples.seen[:, chosen], rng)
+    chosen = _first_of_each(samples.visible.sum(axis=0) >= 2, samples.on_table, SPARSE_POINTS)
+    points, seen = samples.points[chosen], _limited(samples.visible[:, chosen], rng)
     pixels = np.stack([np.asarray(_project_all(points, camera)) for camera in cameras])
     pixels += rng.normal(0, PIXEL_NOISE, pixels.shape).astype(np.float32)
     colors = to_bytes(linear_to_srgb(solids.in_blocks(solids.shade_all, points)))
@@ -186,10 +186,10 @@ def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: i
     model.write_binary(folder)
 
 
-def _limited(seen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _limited(visible: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """`[V, P]` bool with at most LONGEST_TRACK views, drawn at random, for every point."""
-    rank = np.argsort(np.argsort(np.where(seen, rng.random(seen.shape), 2.0), axis=0), axis=0)
-    return seen & (rank < LONGEST_TRACK)
+    rank = np.argsort(np.argsort(np.where(visible, rng.random(visible.shape), 2.0), axis=0), axis=0)
+    return visible & (rank < LONGEST_TRACK)
 
 
 _visible_all = jax.jit(jax.vmap(solids.visible, in_axes=(0, None)))

@@ -1,4 +1,4 @@
-"""Arrays in `.npy` and `.npz` files: read whole, or looked at without reading."""
+"""Arrays in `.npy` and `.npz` files: read whole, or their headers alone."""
 
 import math
 import struct

@@ -6,11 +6,10 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from gsjax.errors import InputError, one_line
-from gsjax.io.messages import print_once
+from gsjax.io.messages import first_names, print_once
 
 FEWEST = 2
 """Photos that any data set must have."""
-_SHOWN = 5  # names in a line
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -77,5 +76,4 @@ def _report(reason: str, kind: str, bad: int, total: int, names: str) -> None:
 
 def _names(faults: Sequence[Fault]) -> str:
     """The end of a line; of one item nothing, as its reason names it."""
-    more = f" and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
-    return f": {', '.join(fault.name for fault in faults[:_SHOWN])}{more}" if len(faults) > 1 else ""
+    return f": {first_names([fault.name for fault in faults])}" if len(faults) > 1 else ""

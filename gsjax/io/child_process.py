@@ -66,7 +66,7 @@ def run_in_child(function: Callable, *arguments: Any, name: str, progress: Calla
 
 
 def _listen(stream: BinaryIO, progress: Callable[..., tqdm]) -> Any:
-    """Shows the bars that the child tells of, until its result comes."""
+    """Show the bars that the child reports, until its result comes."""
     bar: Any = None
     with ExitStack() as bars:
         while True:
@@ -129,7 +129,7 @@ class _Bar:
 
 
 def _serve() -> None:
-    """The child: reads a function and its arguments, runs it, and tells how it goes on what was standard output."""
+    """The child: reads a function and its arguments, runs it, and sends its progress to what was standard output."""
     channel = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # Whatever libraries print goes the way of errors.
     lock = threading.Lock()

@@ -22,7 +22,7 @@ def read_capture(root: Path, model: Path) -> Capture:
     """Photos and points of a COLMAP model; a model without points gets random ones where its cameras look.
 
     Args:
-        root: The data set; photos lie in `images/` in it or beside the model, or in it directly.
+        root: The data set; photos lie in `images/` in it or next to the model, or in it directly.
         model: Folder of the model (`gsjax.io.colmap_model.find_model`).
 
     Raises:

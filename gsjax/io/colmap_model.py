@@ -51,7 +51,7 @@ class Model:
 def find_model(root: Path) -> Path | None:
     """The folder under `root` that holds a COLMAP model's cameras file, or None.
 
-    COLMAP writes a model into `sparse/0`, and others beside it where photos do not hang together; other programs leave
+    COLMAP writes a model into `sparse/0`, and others next to it where photos are not connected; other programs leave
     more of them, by other names. The one with the most photos is taken, and a line says so.
     """
     found: dict[str, Path] = {}  # by where links lead
@@ -127,7 +127,7 @@ def _largest(root: Path, models: Sequence[Path]) -> Path:
 
 
 def _count_images(model: Path, suffix: str) -> int:
-    """What the file of images promises; 0 where it cannot be read, which is told when the model is."""
+    """What the file of images promises; 0 where it cannot be read, which raises when the model is read."""
     file = model / f"images{suffix}"
     try:
         return _counted(file, file.stat().st_mtime_ns)

@@ -1,7 +1,7 @@
 """Frames and points as a COLMAP model."""
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,29 +59,10 @@ def write_model(
     write_whole(model, folder)
 
 
-def write_poses(folder: Path, viewmats: Mapping[str, np.ndarray]) -> None:
-    """Gives images of a COLMAP model other poses; its points and their tracks stay.
-
-    Args:
-        folder: Of the model, replaced in place.
-        viewmats: `[4, 4]` world to camera, by the images' names; images that are not named keep theirs.
-    """
-    pycolmap = require("pycolmap")
-    read_model(folder)  # pycolmap does not tell what is cut, and may never return from it.
-    with quiet(pycolmap):
-        model = pycolmap.Reconstruction(folder)
-    for image in model.images.values():
-        if image.name in viewmats:
-            pose = viewmats[image.name].astype(np.float64)
-            moved = pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:3, :3]), pose[:3, 3])
-            image.frame.set_cam_from_world(image.camera_id, moved)
-    write_whole(model, folder)
-
-
 def write_whole(model: "pycolmap.Reconstruction", folder: Path) -> None:
     """Writes a `pycolmap.Reconstruction` in binary, and sees that all of it has come onto the disk.
 
-    pycolmap 4.2 does not tell when a disk is full.
+    pycolmap 4.2 does not report a full disk.
 
     Args:
         model: The reconstruction to write.

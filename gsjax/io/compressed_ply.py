@@ -3,7 +3,7 @@
 The layout is that of splat-transform (https://github.com/playcanvas/splat-transform, version 3.2.0): positions and logs
 of scales in 11, 10 and 11 bits between their chunk's bounds; rotations as the index of the largest of (w, x, y, z) in 2
 bits and the others in 10 each; colours in 8 bits between their chunk's bounds, opacities in 8 bits between 0 and 1;
-harmonics in 8 bits between -4 and 4. A pixel filter is told as in a plain PLY.
+harmonics in 8 bits between -4 and 4. A pixel filter is stated as in a plain PLY.
 """
 
 from pathlib import Path
@@ -201,6 +201,6 @@ def _pack(units: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
-    """`[N, K]` float64 of what `_pack` gives; higher bits than `bits` are not looked at."""
+    """`[N, K]` float64 of what `_pack` gives; higher bits than `bits` are ignored."""
     shifts = [sum(bits[place + 1 :]) for place in range(len(bits))]
     return np.stack([(packed >> s & 2**b - 1) / (2**b - 1) for s, b in zip(shifts, bits, strict=True)], axis=-1)

@@ -1,4 +1,4 @@
-"""Depth that was measured beside the photos, by LiDAR or a depth camera: maps, their unit and their confidence."""
+"""Depth that was measured with the photos, by LiDAR or a depth camera: maps, their unit and their confidence."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -51,9 +51,9 @@ class DepthMaps:
 def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tuple[Frame, ...]) -> DepthMaps:
     """The depth maps of frames: `NAME.png` (16 bit) or `NAME.npy`, camera z, 0 or not finite where nothing is known.
 
-    A map has its photo's name with the suffix in place of the photo's or after it. A folder `confidence` beside that of
-    the maps may hold 8-bit PNGs of the same names: 0 to 255, or ARKit's levels 0, 1 and 2. Only headers are read now.
-    What part of a map its photo shows, `gsjax.io.depth_windows.window_of` decides.
+    A map has its photo's name with the suffix in place of the photo's or after it. A folder `confidence` next to that
+    of the maps may hold 8-bit PNGs of the same names: 0 to 255, or ARKit's levels 0, 1 and 2. Only headers are read
+    now. What part of a map its photo shows, `gsjax.io.depth_windows.window_of` decides.
 
     Args:
         scene: Folder of the data set.
@@ -121,7 +121,7 @@ def _file(folder: Path, place: str, name: str) -> Path | None:
 
 
 def _depth_json(folder: Path) -> dict[str, Any]:
-    """What `depth.json` beside the maps says."""
+    """What `depth.json` next to the maps says."""
     file = folder / UNIT_FILE
     return json_files.read(file, _STATED) if file.is_file() else {}
 

@@ -1,7 +1,7 @@
 """Which part of a depth map its photo shows, and the map's values at the pixels of the photo's frame.
 
-Sensors of depth have another shape than cameras: 640x480 beside 1296x968 (ScanNet), 848x480 beside 1280x720
-(RealSense), 256x192 beside 3840x2160 (video of an iPad).
+Sensors of depth have another shape than cameras: 640x480 for 1296x968 (ScanNet), 848x480 for 1280x720
+(RealSense), 256x192 for 3840x2160 (video of an iPad).
 """
 
 from pathlib import Path

@@ -19,7 +19,7 @@ _COPIES = 3  # of a file, at least, while what it says becomes arrays
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """A temporary name beside `path`, renamed onto `path` when the block ends without an error.
+    """A temporary name in the folder of `path`, renamed onto `path` when the block ends without an error.
 
     The temporary name keeps the target's suffix, so writers that choose a format by suffix work. Its bytes are on
     the disk before the rename. The parent folder is created; after a failure nothing of the block remains, and what
@@ -58,7 +58,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: str | Path) -> Iterator[Path]:
-    """An empty temporary folder beside `path`, renamed onto `path` when the block ends without an error.
+    """An empty temporary folder next to `path`, renamed onto `path` when the block ends without an error.
 
     After a failure nothing of the block remains; what one that was killed has left is removed by the next.
 
@@ -104,7 +104,7 @@ def require_empty(path: str | Path) -> None:
 
 @contextmanager
 def workspace(path: str | Path) -> Iterator[Path]:
-    """A folder beside `path` for what is to become it, gone after the block whatever happens.
+    """A folder next to `path` for what is to become it, removed after the block.
 
     What killed ones have left there is removed first.
 

@@ -1,7 +1,7 @@
 """Files of Gaussians by suffix: 3DGS's plain PLY, PlayCanvas's compressed PLY and SOG, and SPZ; and that of a run.
 
 The compressed ones have few bits for positions and sizes. Gaussians that lie far off their origin, or are very small or
-large in their units, are stored in local coordinates (`gsjax.scene.similarity`), and a JSON file beside tells which:
+large in their units, are stored in local coordinates (`gsjax.scene.similarity`), which a second file holds:
 `garden.spz.similarity.json`. With it the file is read as what was written; without, as the local one.
 """
 
@@ -25,7 +25,7 @@ _ABOUT = "local = scale * (world - center); the file beside holds local coordina
 
 
 class Format(NamedTuple):
-    """How a kind of file is read, and written; writing tells how many Gaussians it had to clip to what it can hold."""
+    """How a kind of file is read, and written; writing returns how many Gaussians it clipped to what it can hold."""
 
     read: Callable[[Path], Gaussians]
     write: Callable[[Path, Gaussians, Place], int]
@@ -37,7 +37,7 @@ def _write_plain(path: Path, gaussians: Gaussians, place: Place) -> int:
 
 
 def _stated_beside(write: Callable[[Path, Gaussians], int]) -> Callable[[Path, Gaussians, Place], int]:
-    """Writing to a format that cannot hold the place, which a file beside then tells."""
+    """Writing to a format that cannot hold the place, which a second file then states."""
 
     def stated(path: Path, gaussians: Gaussians, place: Place) -> int:
         clipped = write(path, gaussians)
@@ -48,7 +48,7 @@ def _stated_beside(write: Callable[[Path, Gaussians], int]) -> Callable[[Path, G
 
 
 def stored_similarity(path: str | Path) -> Similarity:
-    """To the coordinates in a compressed file from those of its Gaussians, as the JSON file beside it tells.
+    """To the coordinates in a compressed file from those of its Gaussians, as the JSON file next to it states.
 
     Raises:
         InputError: That is damaged.
@@ -72,7 +72,7 @@ def _local(form: Format) -> Format:
             _beside(path).unlink(missing_ok=True)
             return clipped
         if not similarity.is_possible:
-            raise InputError(f"{path}: Gaussians that lie so far off have no place in it ({similarity.told})")
+            raise InputError(f"{path}: Gaussians that lie so far off have no place in it ({similarity.summary})")
         # Both are written before either has its name: no file of local coordinates is without what tells them.
         with atomic_path(_beside(path)) as beside:
             json_files.write(beside, {"about": _ABOUT, **asdict(similarity)})
@@ -100,7 +100,7 @@ FORMATS = {
 
 
 def format_of(path: str | Path) -> Format:
-    """The format that a file's suffix, in capitals or not, tells; the longest that fits.
+    """The format of a file's suffix, in capitals or not; the longest that fits.
 
     Raises:
         InputError: The suffix is none of `FORMATS`.
@@ -138,7 +138,7 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, place: Place = UNPLAC
     Args:
         gaussians: What to write; free rows of a buffer, as training has them, are left out.
         path: Where.
-        place: What is known of the world that they lie in: stated by a comment of a PLY, and else in a file beside.
+        place: What is known of the world that they lie in: stated by a comment of a PLY, and else in a second file.
 
     Returns:
         How many Gaussians hold values that the format cannot reach, and were clipped to it; none in a `.ply`.

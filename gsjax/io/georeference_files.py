@@ -1,7 +1,7 @@
 """Where files say which place their coordinates are of (`gsjax.scene.georeference`).
 
-A data set and a run hold `place.json`. A PLY says it in a comment, a GLB in the extras of its asset; beside any other
-file `garden.spz` lies `garden.spz.place.json`.
+A data set and a run hold `place.json`. A PLY says it in a comment, a GLB in the extras of its asset; next to any other
+file `garden.spz` is `garden.spz.place.json`.
 """
 
 import json
@@ -46,7 +46,7 @@ def place_comments(place: Place) -> list[str]:
 
 
 def state_beside(path: Path, place: Place) -> None:
-    """States the place of a file that cannot say it itself, beside it; takes away what stood there of another file.
+    """State the place of a file that cannot hold it in a second file; remove one that is there of another file.
 
     Raises:
         InputError: It cannot be written.
@@ -58,7 +58,7 @@ def state_beside(path: Path, place: Place) -> None:
 
 
 def stated_place(path: Path) -> Place:
-    """The place that a file of Gaussians or a mesh states, or a file beside it; unknown where none does.
+    """The place that a file of Gaussians or a mesh states, or a second file; unknown where none does.
 
     Raises:
         InputError: What is stated is none.

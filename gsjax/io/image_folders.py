@@ -1,4 +1,4 @@
-"""Where the files of a data set's photos and masks lie: in the folder that is asked for, or in those that there are."""
+"""Where the files of a data set's photos and masks lie: in the folder that is named, or in those that there are."""
 
 import os
 from collections import Counter
@@ -28,7 +28,7 @@ def locate_photos(root: Path, photos: Sequence[Photo], images: str | None) -> li
             line on stderr says so.
 
     Raises:
-        InputError: The folder that is asked for does not exist.
+        InputError: The folder that is named does not exist.
     """
     if images is not None:
         if not os.path.isdir(root / images):
@@ -46,9 +46,9 @@ def locate_photos(root: Path, photos: Sequence[Photo], images: str | None) -> li
 
 
 def found_files(paths: Sequence[Path]) -> list[Path]:
-    """Each path itself where it is a file, else another spelling of it, else the image beside it of the same stem.
+    """Each path itself where it is a file, else another spelling of it, else the image in its folder of the same stem.
 
-    Stems are compared whatever their suffix and case. One that two of the paths share, or two images, tells nothing:
+    Stems are compared whatever their suffix and case. One that two of the paths share, or two images, is ambiguous:
     the path stays as it is.
     """
     wanted = Counter(_stem(path) for path in paths)
@@ -62,7 +62,7 @@ def found_files(paths: Sequence[Path]) -> list[Path]:
             by_stem.setdefault(_stem(image), []).append(image)
         return by_stem
 
-    def found(path: Path) -> Path:
+    def existing(path: Path) -> Path:
         if os.path.isfile(path):
             return path
         spelled = next((other for other in spellings(path) if os.path.isfile(other)), None)
@@ -71,7 +71,7 @@ def found_files(paths: Sequence[Path]) -> list[Path]:
         same = images_in(path.parent).get(_stem(path), [])
         return same[0] if len(same) == 1 and wanted[_stem(path)] == 1 else path
 
-    return [found(path) for path in paths]
+    return [existing(path) for path in paths]
 
 
 def _in_folder(photos: Sequence[Photo], folder: Path) -> list[Photo]:

@@ -57,7 +57,7 @@ def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def check_image(path: Path) -> None:
-    """Raises InputError as `read_image` does; of a JPEG that is whole, only what tells that is computed."""
+    """Raises InputError as `read_image` does; a whole JPEG is decoded at an eighth of its size only."""
     with open_image(path) as picture:
         if picture.format in _JPEGS:
             picture.draft(None, _SMALLEST)
@@ -85,7 +85,7 @@ def read_mask(path: Path) -> np.ndarray:
 def write_image(path: str | Path, image: np.ndarray) -> None:
     """Writes `[H, W, 3]` (or `[H, W]`, `[H, W, 4]`) uint8 pixels, in the format that the suffix names; JPEGs at 95.
 
-    Pillow's encoders do not tell when a disk is full: they write to memory, and that is written as a whole.
+    Pillow's encoders do not report a full disk: they write to memory, and that is written as a whole.
 
     Raises:
         InputError: The target cannot be written, or its suffix names no format.

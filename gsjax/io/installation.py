@@ -1,6 +1,6 @@
 """Whether what gsjax needs is installed and fits, and what to type where it does not.
 
-Only the standard library is imported here, so that a broken installation can be looked at too.
+Only the standard library is imported here, so that a broken installation can be inspected too.
 """
 
 import importlib
@@ -29,16 +29,16 @@ COMPARISONS = {">=": operator.ge, "<=": operator.le, "==": operator.eq, "!=": op
 
 @dataclass(frozen=True)
 class Finding:
-    """What was looked at."""
+    """The result of one check."""
 
     name: str
     is_fine: bool
-    told: str  # what was found
+    result: str
     remedy: str = ""  # what to type where it is not fine
 
 
 def examine(folder: str | Path = ".") -> Iterator[Finding]:
-    """Look at libraries, the device, the rasterizer's engine, memory, disk, and the cache of compiled programs.
+    """Check libraries, the device, the rasterizer's engine, memory, disk, and the cache of compiled programs.
 
     Args:
         folder: Where runs are to be written.
@@ -175,7 +175,7 @@ def gpu_name() -> str | None:
 
 
 def version_line() -> str:
-    """Versions, the device and the engine, told without loading jax: what `gsjax doctor` makes sure of."""
+    """Versions, the device and the engine, without loading jax: `gsjax doctor` checks them."""
     device = likely_device()
     on_cpu = "native" if importlib.util.find_spec("numba") else "xla"
     try:

@@ -316,7 +316,7 @@ def _covered(source: np.ndarray, K: np.ndarray, lens: Lens) -> np.ndarray:
 def _without_bare_border(valid: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns left after cutting, worst side first, until no bare pixel lies on the border.
 
-    Where that would eat more than half of a side, nothing is cut and `valid` alone tells.
+    Where that would eat more than half of a side, nothing is cut, and `valid` alone marks them.
     """
     height, width = valid.shape
     top, bottom, left, right = 0, height, 0, width

@@ -96,7 +96,7 @@ def require_memory(what: str, size: float) -> None:
     """Refuses what this machine has no room for, before it is begun.
 
     Args:
-        what: The beginning of the message: a file or an option, and what it asks for.
+        what: The beginning of the message: a file or an option, and what it requires.
         size: Bytes that it takes.
 
     Raises:
@@ -111,7 +111,7 @@ def require_memory(what: str, size: float) -> None:
 def memory_for(what: str, size: float) -> Iterator[None]:
     """As `require_memory`, for the block: other threads that ask meanwhile wait until there is room for theirs as well.
 
-    What a block has taken already counts twice then, so that rather too few of them go on together.
+    What a block has taken already counts twice then, so that rather too few of them run together.
 
     Raises:
         InputError: There is no room for it alone.

@@ -1,7 +1,7 @@
 """Messages to the user: one line on stderr, printed once."""
 
 import sys
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cache
 
 from tqdm import tqdm
@@ -13,6 +13,12 @@ def _print(line: str) -> None:
 
 _show: Callable[[str], None] = _print
 _noticed: set[Hashable] = set()
+
+
+def first_names(names: Sequence[str], most: int = 5) -> str:
+    """The first names of a list, and how many more there are, for a message."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def show_with(show: Callable[[str], None]) -> None:

@@ -36,14 +36,14 @@ def network_of(folder: str | Path) -> str | None:
 
 
 def begin(folder: Path, made_by: Mapping[str, Any]) -> dict[str, Any]:
-    """The manifest to go on with: that of the folder where the same model made it, else a new one (not yet written).
+    """The manifest to continue: that of the folder where the same model made it, else a new one (not yet written).
 
     Args:
         folder: Exists.
         made_by: What decides the maps: `network` (name), `sha256`, `record`, and whatever else; as JSON has it.
 
     Returns:
-        `made_by`, and `maps`: photo's name -> what `add` was told.
+        `made_by`, and `maps`: photo's name -> its `file` and what `add` was given `about` it.
 
     Raises:
         InputError: Another model's maps are there, or files of another origin.

@@ -11,8 +11,9 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
 from gsjax.io.images import cv2, image_size, same_shape
+from gsjax.io.messages import first_names
 from gsjax.io.normal_folders import is_recorded
-from gsjax.io.photos import list_of_names, scaled_size
+from gsjax.io.photos import scaled_size
 from gsjax.scene import Frame, Origin
 
 _SUFFIXES = (".npy", ".npz", ".png")
@@ -28,7 +29,7 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
     bit, n = 2v - 1), in place of the photo's or after it, in the same subfolder or in `directory` itself. Arrays are
     [H, W, 3] or [3, H, W]. Axes are the camera's: x right, y down, z forward.
 
-    A map of a distorted photo is undistorted with it, a map of the undistorted frame is taken as it is. The size tells
+    A map of a distorted photo is undistorted with it, a map of the undistorted frame is taken as it is. The size shows
     which: that of the photo or of the frame, or of either reduced by a whole factor, or else of one's shape
     (`gsjax.io.images.same_shape`) and not of the other's. Where both have one size, the map is the photo's. Maps that
     `gsjax normals` made are always of the undistorted frame (`gsjax.io.normal_folders`).
@@ -41,7 +42,7 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
         Frame name -> function that reads [H, W, 3] float32, unit length, exactly zero where the map says nothing.
 
     Raises:
-        InputError: A map is missing, or its header tells that it is no map, or none of this frame. Reading one raises
+        InputError: A map is missing, or by its header it is no map, or none of this frame. Reading one raises
             it where the map is damaged or holds values that are not finite.
     """
     directory = Path(directory)
@@ -50,7 +51,8 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
     files = _files(directory, frames)
     missing = [frame.name for frame in frames if frame.name not in files]
     if missing:
-        raise InputError(f"{directory}: {list_of_names('normal map', missing)}")
+        plural = "s" * (len(missing) > 1)
+        raise InputError(f"{directory}: {len(missing)} normal map{plural} missing: {first_names(missing)}")
     undistorted = is_recorded(directory)
     return {frame.name: _reader(files[frame.name], frame, undistorted) for frame in frames}
 
@@ -118,7 +120,7 @@ def _size(file: Path) -> tuple[int, int]:
 
 
 def _shows_photo(file: Path, size: tuple[int, int], frame: Frame, origin: Origin) -> bool:
-    """Whether a map is of the distorted photo (else of the undistorted frame), as its size tells."""
+    """Whether a map is of the distorted photo (else of the undistorted frame), by its size."""
     wholes = (origin.photo, origin.undistorted)
     exact = [size in [scaled_size(*whole, factor) for factor in _REDUCTIONS] for whole in wholes]
     exact[1] |= size == (frame.width, frame.height)

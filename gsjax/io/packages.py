@@ -61,7 +61,7 @@ def require(module: str) -> ModuleType:
 
 
 def check_installed(*modules: str) -> None:
-    """Look for packages without loading them.
+    """Search packages without loading them.
 
     Raises:
         MissingPackageError: One is absent. The message names the extra.

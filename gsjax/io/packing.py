@@ -91,7 +91,7 @@ def unit_quats(quats: np.ndarray) -> np.ndarray:
 def smallest_three(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`[N]` which component of each unit quaternion `[N, 4]` is the largest, and `[N, 3]` the others in order.
 
-    The sign is the one that makes the largest positive, so the others, at most sqrt(1/2) each, tell the rotation.
+    The sign is the one that makes the largest positive, so the others, at most sqrt(1/2) each, determine the rotation.
     """
     largest = np.argmax(np.abs(quats), axis=1)
     others = np.arange(4) != largest[:, None]

@@ -1,4 +1,4 @@
-"""A loop over photos whose bodies run beside each other, and whose results come one by one as if they did not."""
+"""An ordered parallel map over photos."""
 
 import os
 from collections import deque
@@ -17,7 +17,7 @@ def parallel_map(made_of: Callable[[T], R], things: Iterable[T], most_threads: i
 
     Args:
         made_of: Called in several threads.
-        things: Looked at one by one, few more than threads ahead of what has been taken.
+        things: Read one by one, few more than threads ahead of what has been taken.
         most_threads: At most so many threads, and no more than cores.
 
     Raises:

@@ -112,12 +112,6 @@ def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
     return [_frame(photo, index, downscale, folder_masks) for index in range(len(views))]
 
 
-def list_of_names(what: str, names: list[str]) -> str:
-    """The end of a message: `3 images missing: a, b, c`, shortened after five names."""
-    shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-    return f"{len(names)} {what}{'s' * (len(names) > 1)} missing: {shown}"
-
-
 def _lens_of_file(photo: Photo) -> Lens:
     """The photo's lens at the size of its file."""
     lens, found = photo.lens, image_size(photo.path)

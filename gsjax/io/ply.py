@@ -45,8 +45,8 @@ def write_gaussians(
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
     Means are float, as all viewers expect, but double where float would lose their place (`loses_in_float32`).
-    A pixel filter other than the classic one is told by a comment, as Brush and splat-transform have it; so is what is
-    known of the place that they lie in.
+    A pixel filter other than the classic one is stated by a comment, as Brush and splat-transform have it; so is what
+    is known of the place that they lie in.
     The coefficients `f_rest_*` run channel by channel. Normals are the smallest axes: unit vectors that face the
     nearest camera or, without cameras, away from the median of the means.
 
@@ -156,29 +156,30 @@ def _finite_logits(logits: np.ndarray) -> np.ndarray:
     return np.where(np.isinf(logits), np.copysign(np.float32(_SURE), logits), logits)
 
 
-def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_points(path: str | Path, least: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Points `[P, 3]` float64 and colours `[P, 3]` uint8 of a PLY; grey where it has no colours.
 
     Points that are not finite are left out (`gsjax.io.bad_items`).
 
     Raises:
-        InputError: The file is missing, no PLY, truncated, without x, y, z, or holds too few finite points.
+        InputError: The file is missing, no PLY, truncated, without x, y, z, or holds fewer than `least` points, or too
+            few finite ones.
     """
+    path = Path(path)
     vertices, _ = _read_vertices(path)
     names = vertices.dtype.names or ()
     if not set(_MEANS) <= set(names):
         raise InputError(f"{path}: not a PLY of points, it lacks {', '.join(n for n in _MEANS if n not in names)}")
     points = stack_columns(vertices, _MEANS, np.float64)
-    colors = point_colors(vertices)
-    if not len(points):
-        raise InputError(f"{path}: no points in it")
+    if len(points) < least:
+        raise InputError(f"{path}: {len(points)} points in it, at least {least} are needed")
     finite = is_float32(points).all(axis=1)
     leave_out_rows(path, "points", finite)
-    tell_of_rounding(path, vertices, points[finite])
-    return points[finite], colors[finite]
+    _report_rounding(path, vertices, points[finite])
+    return points[finite], _point_colors(vertices)[finite]
 
 
-def tell_of_rounding(path: Path, vertices: np.ndarray, points: np.ndarray) -> None:
+def _report_rounding(path: Path, vertices: np.ndarray, points: np.ndarray) -> None:
     """One line where the single precision of rows has moved their `[P, 3]` points by a thousandth of their spread."""
     step = float(np.spacing(np.abs(np.median(points, axis=0)).max().astype(np.float32)))
     if vertices.dtype["x"].str[1:] == "f4" and 0 < _ROUNDED * spread(points) < step / 2:
@@ -188,7 +189,7 @@ def tell_of_rounding(path: Path, vertices: np.ndarray, points: np.ndarray) -> No
         )
 
 
-def point_colors(vertices: np.ndarray) -> np.ndarray:
+def _point_colors(vertices: np.ndarray) -> np.ndarray:
     """`[P, 3]` uint8 colours of the rows of a PLY, of numbers of any type; grey where they have none.
 
     Gaussians have the colours of their centres.

@@ -79,7 +79,7 @@ def stack_columns(rows: np.ndarray, names: list[str], dtype: type = np.float32) 
 
 
 def filter_comments(pixel_filter: PixelFilter) -> list[str]:
-    """The lines of the header that tell a pixel filter; the classic one is what a file without them means."""
+    """The lines of the header that state a pixel filter; the classic one is what a file without them means."""
     return ["comment SplatRenderMode: mip"] if pixel_filter == "mip" else []
 
 

@@ -44,7 +44,7 @@ def points_in_synthetic_cube(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def tell_of_random_points(place: object) -> None:
-    """One line: where points were looked for, and what is taken instead."""
+    """Print one line: which file has no points, and what is taken instead."""
     print_once(f"points: {place} has none; training starts from {COUNT:,} random ones where the cameras look")
 
 

@@ -39,19 +39,20 @@ def load_scene(
 ) -> Scene:
     """Loads a data set: COLMAP, `transforms.json` (instant-ngp, nerfstudio) or NeRF-synthetic.
 
-    A COLMAP model is looked for in `sparse/0` (or a larger one in `sparse/1` and so on), `sparse`, `colmap/sparse/0`
-    and the folder itself; its photos in `images/` or beside it, or in reduced copies (`gsjax.io.image_folders`). Photos
-    of another size than their camera says rescale its intrinsics where the shape fits (`gsjax.io.images.same_shape`).
-    Lens distortion is removed (`gsjax.io.lenses`). Masks come from a folder `masks/` (a mask has the photo's name, that
-    name with `.png` after it, or its stem with `.png`), from `mask_path` in `transforms.json`, or from the photos'
-    alpha channel, which always becomes the matte. Truth beside the images is listed too (`gsjax.io.truth`).
+    A COLMAP model is searched in `sparse/0` (or a larger one in `sparse/1` and so on), `sparse`, `colmap/sparse/0`
+    and the folder itself; its photos in `images/` or next to it, or in reduced copies (`gsjax.io.image_folders`).
+    Photos of another size than their camera says rescale its intrinsics where the shape fits
+    (`gsjax.io.images.same_shape`). Lens distortion is removed (`gsjax.io.lenses`). Masks come from a folder `masks/` (a
+    mask has the photo's name, that name with `.png` after it, or its stem with `.png`), from `mask_path` in
+    `transforms.json`, or from the photos' alpha channel, which always becomes the matte. Truth in the folder is listed
+    too (`gsjax.io.truth`).
 
     Args:
         root: Folder of the data set.
         downscale: Images, masks, truth and intrinsics are this many times smaller, at least 1.
         folder_masks: What masks from files mean: "valid", pixels that are 0 are ignored; "matte", the object's
             coverage.
-        images: Folder of the photos, absolute or in `root`; None looks for them.
+        images: Folder of the photos, absolute or in `root`; None: they are searched.
         hold_out: Which photos are for scoring only, see `gsjax.io.splits.mark_held_out`.
         photos: Text file of the names of those that are taken, one a line, as `hold_out` may be one; None: all. Which
             of them are held out is decided among all.
@@ -79,7 +80,7 @@ def load_scene(
     if similarity is None:
         similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in taken]), capture.points)
     if not similarity.is_possible:
-        raise InputError(f"{root}: its cameras stand too far off, or together, for float64 ({similarity.told})")
+        raise InputError(f"{root}: its cameras stand too far off, or together, for float64 ({similarity.summary})")
     taken = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in taken]
     points = similarity.points_to_local(capture.points)
     frames_by_photo, faults = read_usable(taken, _name, lambda photo: frames_of(photo, downscale, folder_masks))
@@ -100,7 +101,7 @@ def list_photos(root: str | Path, images: str | None = None) -> list[Photo]:
 
 
 def is_data_set(root: str | Path) -> bool:
-    """Whether a folder is laid out as one that `load_scene` reads; what the files hold is not looked at."""
+    """Whether a folder is laid out as one that `load_scene` reads; the contents of the files are ignored."""
     root = Path(root)
     return colmap_model.find_model(root) is not None or any((root / file).is_file() for file in transforms.FILES)
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from gsjax.errors import InputError
 from gsjax.io.duplicate_photos import group_duplicates
 from gsjax.io.files import read_bytes
-from gsjax.io.messages import print_once
+from gsjax.io.messages import first_names, print_once
 from gsjax.io.photos import Photo
 
 AUTO, NONE = "auto", "none"
@@ -54,8 +54,8 @@ def _with_copies(names: set[str], shots: Sequence[Sequence[str]], root: Path) ->
     """The stated names and those of other files of the same shots."""
     held_out = {name for shot in shots if not names.isdisjoint(shot) for name in shot}
     if copies := sorted(held_out - names):
-        shown = ", ".join(copies[:5]) + (f" and {len(copies) - 5} more" if len(copies) > 5 else "")
-        print_once(f"{root}: held out as well, as they show the same shots as held-out photos: {shown}")
+        told = "held out as well, as they show the same shots as held-out photos"
+        print_once(f"{root}: {told}: {first_names(copies)}")
     return held_out
 
 
@@ -75,7 +75,7 @@ def _stated_split(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str
 def listed(file: Path, names: Sequence[str], *, absent: str = "", empty: str = "") -> set[str]:
     """The names in a text file, one a line, all of which must be among `names`.
 
-    Blank lines do not count, nor those that begin with #, unless that is a name.
+    Blank lines are ignored, and those that begin with #, unless that is a name.
 
     Args:
         file: The list.

@@ -21,7 +21,7 @@ _LONGEST = 40  # characters that are kept of a name, so that the temporary one i
 
 
 def temporary_beside(path: Path) -> Path:
-    """A new name beside `path`, with its suffix and with this process's number in it; nothing is made."""
+    """A new name in the folder of `path`, with its suffix and with this process's number in it; nothing is made."""
     return path.with_name(f"{_beginning(path)}{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
 
 
@@ -43,7 +43,7 @@ def sweep(folder: str | Path) -> None:
 
 
 def sweep_beside(path: Path) -> None:
-    """Removes the temporary files and folders that killed writers of `path` have left beside it, or where it leads."""
+    """Remove temporary files and folders that killed writers of `path` have left in its folder, or where it leads."""
     path = behind_link(path)
     for left in path.parent.glob(f"{glob.escape(_beginning(path))}*{glob.escape(path.suffix)}"):
         if not _is_left(left):

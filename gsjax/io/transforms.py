@@ -26,8 +26,8 @@ def read_transforms(root: Path) -> Capture:
     """Photos and points of a folder with `transforms.json`.
 
     Points are those that `ply_file_path` names, or else random ones (`gsjax.io.random_points.points_in_view`). The
-    split is the one that the file states, if it does (`gsjax.io.transforms_splits`), or that a file for testing beside
-    it does.
+    split is the one that the file states, if it does (`gsjax.io.transforms_splits`), or that a file for testing next
+    to it does.
 
     Raises:
         InputError: The file, or a file that it names, is missing, damaged or contradicts itself.

@@ -1,4 +1,4 @@
-"""Ground truth beside the images of a data set, in the layout of rendered scenes."""
+"""Ground truth in the folder of a data set, in the layout of rendered scenes."""
 
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -22,7 +22,7 @@ def load_truth(
     `depth` holds `depth` [H, W] (camera z, scene units, 0 where nothing) and `label` [H, W] (0 sky, 255 ground, else
     object); `normals` holds `cam` [H, W, 3] (camera frame, 0 where nothing); `gt_points.npz` holds `points` and
     `normals` [P, 3] (world) and `label` [P] (0 object, 1 ground), of points that cameras saw; `gt_mesh.ply` is the
-    whole surface, and counts only where there are such points. Of maps, headers are read now and pixels when asked for,
+    whole surface, and counts only where there are such points. Of maps, headers are read now and pixels later,
     at the nearest pixel centre where a frame is smaller: averages of depths or normals would lie on no surface. The
     mesh is named and not read.
 

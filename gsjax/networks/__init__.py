@@ -1,1 +1,1 @@
-"""Networks that users bring: their records, their graphs, and what they are asked for."""
+"""Networks that users bring: their records, their graphs, and their use."""

@@ -1,4 +1,4 @@
-"""Normals of frames from a depth network, whose scale and shift a photo the tracks of structure from motion settle."""
+"""Normals of frames from a depth network, whose scale and shift the tracks of structure from motion determine."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -49,7 +49,7 @@ class DepthNormals:
 
     @cached_property
     def reduction(self) -> int:
-        """The windows of the normals: as wide as the noise of some photos asks for, see `chosen_reduction`."""
+        """The windows of the normals: as wide as the noise of some photos requires, see `chosen_reduction`."""
         views = []
         for frame in _spread(self.frames):
             seen, fit = self._fitted(frame)
@@ -65,11 +65,11 @@ class DepthNormals:
         height, width = seen.values.shape
         x, y = np.floor(rays * seen.K[[0, 1], [0, 1]] + seen.K[:2, 2]).astype(int).T
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (depths > 0)
-        inside[inside] &= seen.known[y[inside], x[inside]]
+        inside[inside] &= seen.valid[y[inside], x[inside]]
         return seen, fit_depth(seen.values[y[inside], x[inside]], depths[inside], self.estimator.network.kind)
 
     def _depth(self, seen: NetworkDepth, fit: DepthFit) -> np.ndarray:
-        return fitted_depth(seen.values, fit, self.estimator.network.kind) * seen.known
+        return fitted_depth(seen.values, fit, self.estimator.network.kind) * seen.valid
 
 
 def _camera(frame: Frame, seen: NetworkDepth) -> Camera:

@@ -40,12 +40,12 @@ class NormalEstimator(Runner):
         pixels, place = frame.pixels(), self.place(frame)
         names = [self._normals] if self._confidence is None else [self._normals, self._confidence]
         outputs = self.outputs(frame, pixels, names)
-        raw = self.shown(outputs[0], 3, place, "normals, three values")
-        known = np.ones(raw.shape[:2], bool)
+        raw = self.output_map(outputs[0], 3, place, "normals, three values")
+        valid = np.ones(raw.shape[:2], bool)
         if self._confidence is not None and self.network.confidence is not None:
-            confidence = self.finite(self.shown(outputs[1], 1, place, "confidence, one value"), known, frame)
-            known = is_reliable(self.network.confidence, confidence[..., 0])
-        unit = decode_normals(self.network, np.where(known[..., None], self.finite(raw, known, frame), 0))
+            confidence = self.finite(self.output_map(outputs[1], 1, place, "confidence, one value"), valid, frame)
+            valid = is_reliable(self.network.confidence, confidence[..., 0])
+        unit = decode_normals(self.network, np.where(valid[..., None], self.finite(raw, valid, frame), 0))
         return resize_normals(unit, frame.width, frame.height) * usable(pixels)[..., None]
 
 
@@ -53,7 +53,7 @@ class NetworkDepth(NamedTuple):
     """Depth of a frame by a network, at the network's own size."""
 
     values: np.ndarray  # [h, w] float32, of the record's kind
-    known: np.ndarray  # [h, w] bool, inside the photo's mask and matte
+    valid: np.ndarray  # [h, w] bool, inside the photo's mask and matte
     K: np.ndarray  # [3, 3] float32 the frame's intrinsics at this size
 
 
@@ -80,8 +80,8 @@ class DepthEstimator(Runner):
         """
         pixels, place = frame.pixels(), self.place(frame)
         (output,) = self.outputs(frame, pixels, [self._depth])
-        values = self.shown(output, 1, place, f"{self.network.kind}, one value")
+        values = self.output_map(output, 1, place, f"{self.network.kind}, one value")
         values = self.finite(values, np.ones(values.shape[:2], bool), frame)[..., 0]
-        known = resample(usable(pixels), place.width, place.height).reshape(values.shape) > 0.5
+        valid = resample(usable(pixels), place.width, place.height).reshape(values.shape) > 0.5
         scale = np.array([place.width / frame.width, place.height / frame.height, 1], np.float32)
-        return NetworkDepth(values, known, frame.K * scale[:, None])
+        return NetworkDepth(values, valid, frame.K * scale[:, None])

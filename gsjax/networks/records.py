@@ -49,7 +49,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Confidence:
-    """An output that tells where the normals hold; pixels that it rejects are left empty."""
+    """An output that marks where the normals hold; pixels that it rejects are left empty."""
 
     names: tuple[str, ...]
     kind: Literal["probability", "kappa"]  # of a pixel being valid; or a concentration, see `expected_error_degrees`
@@ -94,7 +94,7 @@ class NormalNetwork(Network):
 
 @dataclass(frozen=True, kw_only=True)
 class DepthNetwork(Network):
-    """A network that gives depth up to a scale and a shift, which the tracks of structure from motion settle."""
+    """A network that gives depth up to a scale and a shift, which the tracks of structure from motion determine."""
 
     kind: Literal["disparity", "depth"]  # one over the camera z, or the camera z
     depth: Output
@@ -102,7 +102,7 @@ class DepthNetwork(Network):
 
 @dataclass(frozen=True, kw_only=True)
 class MaskNetwork(Network):
-    """A network that tells what each pixel shows."""
+    """A network that gives each pixel a class."""
 
     kind: Literal["scores", "labels", "probability"]  # of every class; the class's place in `classes`; of the only one
     output: Output

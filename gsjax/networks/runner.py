@@ -68,7 +68,7 @@ class Runner:
             feeds[port.name] = value.reshape((1,) * (len(port.shape) - value.ndim) + value.shape)
         return feeds
 
-    def shown(self, output: np.ndarray, channels: int, place: CanvasFit, what: str) -> np.ndarray:
+    def output_map(self, output: np.ndarray, channels: int, place: CanvasFit, what: str) -> np.ndarray:
         """The part of an output that shows the photo, `[h, w, channels]` float32; `what` it must be, in words."""
         height, width = place.canvas
         field = _field(output, channels)
@@ -89,7 +89,7 @@ class Runner:
 
 
 def _picture_input(network: Network, graph: Graph) -> tuple[Port, str]:
-    """The input for the photo and its layout: as the graph's shape tells, else as the record has it."""
+    """The input for the photo and its layout: as the graph's shape has it, else as the record has it."""
     named = [port for port in graph.inputs if port.name == network.picture]
     for port in named or graph.inputs:
         if len(port.shape) != 4 or port.dtype not in FLOATS.values() or port.shape[0] not in (None, 1):

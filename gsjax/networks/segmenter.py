@@ -1,4 +1,4 @@
-"""What each pixel of a picture shows, from a network that tells classes apart."""
+"""What each pixel of a picture shows, from a segmentation network."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ class Segmenter(Runner):
         frame = frame_of(name, np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32), pixels)
         (output,) = self.outputs(frame, pixels, [self._output])
         evidence, bound = self._evidence(output)
-        shown = self.shown(evidence, 1, self.place(frame), "a class, one value")
+        shown = self.output_map(evidence, 1, self.place(frame), "a class, one value")
         shown = self.finite(shown, np.ones(shown.shape[:2], bool), frame)
         return resample(shown, frame.width, frame.height).reshape(picture.shape[:2]) > bound
 
@@ -68,10 +68,10 @@ class Segmenter(Runner):
 
 
 def chosen_classes(network: MaskNetwork, names: Sequence[str] | None) -> tuple[str, ...]:
-    """The classes of a record that are asked for; None: the only one beside the background.
+    """The classes of a record that are named; None: the only one besides the background.
 
     Raises:
-        InputError: The record has no such class, has several where none is named, or none is left beside them.
+        InputError: The record has no such class, has several where none is named, or none is left besides them.
     """
     things = tuple(name for name in network.classes if name != BACKGROUND)
     if names is None and len(things) != 1:

@@ -75,7 +75,7 @@ def convert(
         "gaussians": kept.num_gaussians,
         "left_out": gaussians.num_gaussians - kept.num_gaussians,
         "clipped": clipped,
-        "stored_at": None if stored.is_identity else stored.told,
+        "stored_at": None if stored.is_identity else stored.summary,
         "sh_degree": kept.sh_degree,
         "pixel_filter": kept.pixel_filter,
         "bytes": out.stat().st_size,

@@ -43,7 +43,7 @@ from gsjax.runs.relocation import relocate_scene
 from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
 from gsjax.runs.run import Run
 from gsjax.runs.splits import split_of
-from gsjax.scene import Scene, extent, kept
+from gsjax.scene import Scene, extent, preload
 from gsjax.scene.batches import Batches, decode, read_batches
 from gsjax.scene.meshes import Mesh
 from gsjax.training.capacity import largest_need
@@ -106,12 +106,12 @@ def refine(
     for line in lines:
         print(f"refine: {line}", file=sys.stderr)
     # Held-out photos are read when they are scored, one by one.
-    scene = replace(scene, frames=tuple(frame if frame.held_out else kept(frame, keep) for frame in scene.frames))
+    scene = replace(scene, frames=tuple(frame if frame.held_out else preload(frame, keep) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
     found = trained.photo_effects
     frames = scene.train_frames
     if found.appearances:
-        frames = tuple(kept(without_appearance(frame, found.appearances[frame.name]), keep) for frame in frames)
+        frames = tuple(preload(without_appearance(frame, found.appearances[frame.name]), keep) for frame in frames)
     data, size = read_batches(frames, keep=keep), extent(frames)
     if taken_out["decimated"] and settings.halved_share:
         coarse = halved_where_seen(coarse, data, settings.faces)

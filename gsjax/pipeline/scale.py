@@ -54,7 +54,7 @@ def scale(source: str | Path, between: Sequence[Pixel], metres: float | None = N
     if not distance > 0:
         raise InputError(f"--between: {first} and {second} show one point; two are needed for a length")
     factor = metres / distance
-    scaled = place.stretched(factor, f"{metres:g} m between {first} and {second}")
+    scaled = place.rescale(factor, f"{metres:g} m between {first} and {second}")
     if scene is None:
         rescale_run(source, factor, scaled)
     else:

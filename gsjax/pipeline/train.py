@@ -45,7 +45,7 @@ from gsjax.runs.processes import from_first, is_first, own_folder, same_everywhe
 from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
 from gsjax.runs.splits import require_photos_of_effects, split_of
-from gsjax.scene import Scene, kept
+from gsjax.scene import Scene, preload
 from gsjax.settings import AUTO, Settings
 from gsjax.training import data_parallel, optimizers
 from gsjax.training.data_parallel import Devices, device_mesh
@@ -172,7 +172,7 @@ def _train(
         print(f"train: {line}", file=sys.stderr)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
-    loaded = replace(loaded, frames=tuple(kept(frame, fitted.keep) for frame in photos))
+    loaded = replace(loaded, frames=tuple(preload(frame, fitted.keep) for frame in photos))
     _require_pixels(loaded)
     # Only now: what the engine needs was compiled meanwhile.
     sparse_line = () if sparse is None else (sparse.line(planned),)

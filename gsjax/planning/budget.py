@@ -14,7 +14,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.planning.pace import FIXED_COST, TIMED, UNTIMED, relative_cost
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.presets import LENGTHS
-from gsjax.scene import Scene, kept
+from gsjax.scene import Scene, preload
 from gsjax.scene.batches import NORMAL_UNIT
 from gsjax.settings import Settings
 from gsjax.training import initialize, loop, optimizers
@@ -113,7 +113,7 @@ def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
     They have the Gaussians of the run's end, so that phases in which Gaussians multiply take less than measured.
     """
     size, planned, steps = training_extent(scene), plan(settings), UNTIMED + TIMED
-    frames = [kept(frame) for frame in scene.train_frames[:: -(-len(scene.train_frames) // PHOTOS)]]
+    frames = [preload(frame) for frame in scene.train_frames[:: -(-len(scene.train_frames) // PHOTOS)]]
     ends = [steps * number for number, _ in enumerate(planned.phases, 1)]
     pairs = zip(planned.phases, ends, strict=True)
     phases = tuple(replace(phase, begin=end - steps, end=end, cull_below=0.0) for phase, end in pairs)

@@ -16,7 +16,7 @@ from gsjax.effects.observations import Observations
 from gsjax.planning.effect_runs import HURRY, EffectRuns, Initial, held_out_blocks, without_blocks
 from gsjax.planning.pace import FIXED_COST, relative_cost
 from gsjax.planning.validation import Validated, image_scale, short_settings
-from gsjax.scene import Frame, kept
+from gsjax.scene import Frame, preload
 from gsjax.settings import Model, Phase, Settings
 from gsjax.training.plan import Plan
 
@@ -76,7 +76,7 @@ class EffectValidation:
         steps = steps_of_each(self.planned, self.frames, len(proposed))
         if steps is None:
             return {}
-        frames = tuple(map(kept, chosen_photos(self.frames)))
+        frames = tuple(map(preload, chosen_photos(self.frames)))
         blocks = [held_out_blocks(frame, index) for index, frame in enumerate(frames)]
         seen = without_blocks(seen, frames, blocks)
         weight = self.planned.sky_weight

@@ -16,7 +16,7 @@ from gsjax.planning.start import first_state, with_given_points, with_stereo_poi
 from gsjax.planning.validation import Observe, Variant, mean_and_error, short_settings
 from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
-from gsjax.scene import Scene, batches, kept, tracks_by_name
+from gsjax.scene import Scene, batches, preload, tracks_by_name
 from gsjax.scene.batches import Batches
 from gsjax.scene.cameras import Camera, landing
 from gsjax.settings import Settings
@@ -50,7 +50,7 @@ def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) ->
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
-    frames = tuple(map(kept, tqdm(scene.train_frames, desc="photos", unit="photo", leave=False)))
+    frames = tuple(map(preload, tqdm(scene.train_frames, desc="photos", unit="photo", leave=False)))
     matched = {name: scene.points[ids].astype(np.float64) for name, (ids, _) in tracks_by_name(scene).items()}
     scene = with_given_points(scene, settings)
     short = short_settings(settings, scene.train_frames, len(scene.points))

@@ -8,7 +8,7 @@ import optax
 
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
-from gsjax.io.point_clouds import read_points
+from gsjax.io.ply import read_points
 from gsjax.scene import Scene
 from gsjax.settings import Settings
 from gsjax.stereo import stereo_points
@@ -26,7 +26,7 @@ def with_given_points(scene: Scene, settings: Settings) -> Scene:
     """The scene with the cloud that the settings name, which only the start of training looks at, and no tracks."""
     if settings.model.points is None:
         return scene
-    points, colors = read_points(settings.model.points)
+    points, colors = read_points(settings.model.points, least=2)
     local = scene.similarity.points_to_local(scene.place.points_to_world(points))
     return replace(scene, points=local, point_colors=colors, tracks=None)
 

@@ -51,7 +51,7 @@ class RunFacts(Run):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """The run in a folder, whose manifest and settings tell what a report takes for granted.
+        """The run in a folder, with the entries that a report requires.
 
         Raises:
             InputError: It is no run folder, or a file is damaged.
@@ -121,7 +121,7 @@ def plan(run: RunFacts) -> Rows:
 
 
 def effects(run: RunFacts) -> Rows:
-    """Effect, decision, evidence, noise, threshold, and what the note says; empty where nobody looked."""
+    """Effect, decision, evidence, noise, threshold, and what the note says; empty where no diagnosis was made."""
     found = run.manifest.get("effects", {})
     return [
         (

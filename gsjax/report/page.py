@@ -68,7 +68,7 @@ def report_if_installed(folder: str | Path) -> None:
 
 
 def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Do the work of a stage on a run, and let the run tell of it.
+    """Do the work of a stage on a run, and record it in the run.
 
     Its figures, `seconds` and `peak_gib` go to `stages` in RUN/manifest.json, and the report is made anew. Where that
     cannot be written, a line says so: the work is done.

@@ -38,7 +38,7 @@ def report_views(records: Sequence[dict[str, Any]]) -> list[int]:
 
 
 def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
-    """What is told of each frame as it is scored, and keeps pictures of those that the report shows.
+    """An observer of scored frames, which stores pictures of those that the report shows.
 
     Args:
         run: Run folder with its `cameras.json`.
@@ -91,7 +91,7 @@ def mesh_pictures(run: Path, records: Sequence[dict[str, Any]]) -> list[dict[str
     mesh = similarity.mesh_to_local(read_mesh(run / "mesh.ply"))
     cast = ray_caster(mesh)
 
-    def drawn(record: dict[str, Any]) -> dict[str, bytes]:
+    def pictures_of(record: dict[str, Any]) -> dict[str, bytes]:
         camera = _small_camera(recorded_camera(record, similarity))
         shadings = {"mesh": headlight, "mesh colours": vertex_colors}
         return {
@@ -101,7 +101,7 @@ def mesh_pictures(run: Path, records: Sequence[dict[str, Any]]) -> list[dict[str
             for kind, shading in shadings.items()
         }
 
-    return [drawn(record) for record in records]
+    return [pictures_of(record) for record in records]
 
 
 def _file(run: Path, index: int, kind: str) -> Path:

@@ -14,6 +14,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
 from gsjax.io.arrays import read_arrays
 from gsjax.io.files import atomic_path
+from gsjax.io.messages import first_names
 from gsjax.io.normal_maps import normal_maps
 from gsjax.normals.consistency import Judged, Verdict, View, full_size, judge, stride_of, thinned
 from gsjax.normals.sparse_depth import sparse_depth
@@ -24,7 +25,6 @@ from gsjax.scene import Frame, Keep, Scene, in_memory, tracks_by_name
 from gsjax.scene.cameras import thinned_K
 
 CONFIDENCE, VERDICT = "confidence.npz", "gate.json"  # in the run's folder of maps
-NAMED = 5  # rejected photos that a note names
 
 
 def filter_normals(
@@ -130,9 +130,7 @@ def with_names(verdict: Verdict, frames: Sequence[Frame]) -> Verdict:
     """Add the names of the first rejected photos to the note of a verdict."""
     if not verdict.rejected:
         return verdict
-    names = ", ".join(frames[index].name for index in verdict.rejected[:NAMED])
-    more = len(verdict.rejected) - NAMED
-    return verdict._replace(note=f"{verdict.note}: {names}" + (f" and {more} more" if more > 0 else ""))
+    return verdict._replace(note=f"{verdict.note}: {first_names([frames[index].name for index in verdict.rejected])}")
 
 
 def _judge(views: Sequence[View]) -> tuple[list[Judged], Verdict]:

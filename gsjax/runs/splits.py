@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax.errors import InputError
-from gsjax.io.messages import print_once
+from gsjax.io.messages import first_names, print_once
 from gsjax.scene import Frame, Scene
 
 SHAPE = {"train": [str], "held_out": [str]}
@@ -47,9 +47,9 @@ def with_split(scene: Scene, split: Split, *, run: Path) -> Scene:
     if not frames:
         raise InputError(f"{scene.root}: has none of the {len(split)} photos of {run}, such as {next(iter(split))}")
     if absent := missing_photos(frames, split):
-        print_once(f"{scene.root}: lacks photos that {run} was begun with: {_shown(absent)}")
+        print_once(f"{scene.root}: lacks photos that {run} was begun with: {first_names(absent)}")
     if added := [frame.name for frame in scene.frames if frame.name not in split]:
-        print_once(f"{scene.root}: has photos that {run} was begun without, which are left out: {_shown(added)}")
+        print_once(f"{scene.root}: has photos that {run} was begun without, which are left out: {first_names(added)}")
     return replace(scene, frames=frames)
 
 
@@ -69,10 +69,6 @@ def require_photos_of_effects(scene: Scene, split: Split, manifest: Mapping[str,
     absent = [name for name in missing_photos(scene.frames, split) if not split[name]]
     if simulated and absent:
         raise InputError(
-            f"{scene.root}: lacks {_shown(absent)}, which {run} was trained on with {' and '.join(simulated)} of each"
-            " photo; put it back to resume"
+            f"{scene.root}: lacks {first_names(absent)}, which {run} was trained on with {' and '.join(simulated)} of"
+            " each photo; put it back to resume"
         )
-
-
-def _shown(names: list[str]) -> str:
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

@@ -38,7 +38,7 @@ class Origin(NamedTuple):
 
 
 class DepthFile(NamedTuple):
-    """Depth that was measured beside a photo, in a file that the data set lists (`gsjax.io.depth_maps`)."""
+    """Depth that was measured with a photo, in a file that the data set lists (`gsjax.io.depth_maps`)."""
 
     path: Path
     metres: float  # in one unit of the file's values
@@ -53,7 +53,7 @@ class Frame:
     K: np.ndarray  # [3, 3] float32 pixels; pixel centres at +0.5
     width: int  # pixels
     height: int  # pixels
-    pixels: Callable[[], Pixels]  # reads them, anew at every call (see `kept`); InputError where it cannot
+    pixels: Callable[[], Pixels]  # reads them, anew at every call (see `preload`); InputError where it cannot
     held_out: bool = False  # scored, never trained on
     origin: Origin | None = None  # None: the photo had no distortion, the frame shows it whole; or it is a panorama's
     masked: bool = True  # False: all pixels are valid, which is known without reading them
@@ -71,8 +71,8 @@ def in_memory(array: np.ndarray) -> np.ndarray:
     return array
 
 
-def kept(frame: Frame, keep: Keep = in_memory) -> Frame:
-    """The same frame with its pixels read now and kept."""
+def preload(frame: Frame, keep: Keep = in_memory) -> Frame:
+    """The same frame with its pixels read now."""
     return with_pixels(frame, Pixels(*(None if each is None else keep(each) for each in frame.pixels())))
 
 
@@ -97,7 +97,7 @@ Maps = Mapping[str, Callable[[], np.ndarray]]
 
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth beside the images; every part is optional. Maps are read when asked for, and not kept."""
+    """Ground truth of the images; every part is optional. Maps are read on each call, and not cached."""
 
     depths: Maps = field(default_factory=dict)  # frame's name -> [H, W] float32 camera z, 0 where nothing
     normals: Maps = field(default_factory=dict)  # frame's name -> [H, W, 3] float32 camera frame, 0 where nothing

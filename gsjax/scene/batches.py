@@ -59,7 +59,7 @@ class Batches:
 
     @property
     def has_mattes(self) -> bool:
-        """Whether the photos tell an object from its background."""
+        """Whether the photos separate an object from its background."""
         return self.views[0].matte is not None
 
     @property

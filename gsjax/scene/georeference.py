@@ -1,12 +1,12 @@
 """Which coordinates of a scene are metres, which way is up, and where on Earth they are counted from.
 
-Photos alone tell none of it. GPS (`gsjax.io.sfm.georeference`) or a length that somebody knows (`gsjax scale`) does. A
+Photos alone determine none of it. GPS (`gsjax.io.sfm.georeference`) or a known length (`gsjax scale`) does. A
 *placed* world is in metres:
 
     world = scale * rotation @ files + shift
 
 With an origin it is x east, y north, z up (ENU) on the plane that touches WGS 84's ellipsoid at the origin, whose
-degrees are kept as float64 beside coordinates that stay small. `gsjax.scene.similarity` takes the world to local
+degrees are float64, and coordinates stay small. `gsjax.scene.similarity` takes the world to local
 coordinates.
 """
 
@@ -71,7 +71,7 @@ class Place:
         placed[:3, 3] = self.scale * viewmat[:3, 3] - placed[:3, :3] @ self.shift
         return placed
 
-    def stretched(self, factor: float, known_by: str) -> Place:
+    def rescale(self, factor: float, known_by: str) -> Place:
         """The same with a metre of the old world `factor` metres long; the origin stays where it is."""
         x, y, z = (factor * side for side in self.shift)
         return replace(self, known_by=known_by, scale=factor * self.scale, shift=(x, y, z))
@@ -117,10 +117,10 @@ def parse_length(text: str) -> float:
 
 
 def parse_place(kept: Any, where: object) -> Place:
-    """The place that a `record`, or a `statement`, tells.
+    """The place that a `record`, or a `statement`, holds.
 
     Raises:
-        InputError: It tells none; names `where` it was read.
+        InputError: It states none; names `where` it was read.
     """
     try:
         origin, move = kept.get("origin"), kept.get("from_files", {})

@@ -49,12 +49,12 @@ class Similarity:
 
     @property
     def is_possible(self) -> bool:
-        """Whether float64 tells places of the world apart that local coordinates tell apart."""
+        """Whether float64 distinguishes places of the world that local coordinates distinguish."""
         farthest = max(map(abs, self.center)) * self.scale
         return 1 / LARGEST_SCALE <= self.scale <= LARGEST_SCALE and farthest < FARTHEST
 
     @property
-    def told(self) -> str:
+    def summary(self) -> str:
         """The map in words, with all digits."""
         x, y, z = self.center
         return f"local coordinates, {self.scale:.17g} * (world - ({x:.17g}, {y:.17g}, {z:.17g}))"
@@ -135,7 +135,7 @@ def of_cameras(viewmats: np.ndarray, points: np.ndarray) -> Similarity:
 
     Args:
         viewmats: `[V, 4, 4]` float64 world to camera.
-        points: `[P, 3]` float64 world; they tell the size where all photos were taken from one place.
+        points: `[P, 3]` float64 world; they determine the size where all photos were taken from one place.
     """
     centers = -np.einsum("vji,vj->vi", viewmats[:, :3, :3], viewmats[:, :3, 3])
     middle = np.median(centers, axis=0)

@@ -14,7 +14,7 @@ BLOCK = 16  # Sides are multiples of it, pixels: a tile of the rasterizer is nev
 
 
 class PageCamera(NamedTuple):
-    """What a browser tells of its view. Camera axes are ours: x right, y down, z forward."""
+    """A browser's view. Camera axes are ours: x right, y down, z forward."""
 
     position: np.ndarray  # [3] world
     wxyz: np.ndarray  # [4] quaternion of the rotation from camera to world
@@ -46,7 +46,7 @@ def camera_of(page: PageCamera, size: tuple[int, int]) -> Camera | None:
         size: Width and height of the picture, pixels.
 
     Returns:
-        A numpy camera; None where the page tells no camera at all: numbers that are not finite, or no rotation.
+        A numpy camera; None where the page has no camera: numbers that are not finite, or no rotation.
     """
     numbers = np.concatenate([page.position, page.wxyz, [page.fov]]).astype(np.float64)
     if not np.isfinite(numbers).all() or np.linalg.norm(numbers[3:7]) < 1e-9:

@@ -78,7 +78,7 @@ class PictureQueue:
             self._changed.notify()
 
     def take(self, timeout: float | None = None) -> Request | None:
-        """Waits for the next request: coarse pictures first, whoever waits longest.
+        """Waits for the next request: coarse pictures first, the browser that waits longest first.
 
         Args:
             timeout: Seconds; None: for ever.

@@ -1,6 +1,6 @@
 """Who may talk to a page that is for this machine alone: the page itself, and programs that are no browser's.
 
-A browser lets any page that it has open talk to a WebSocket of this machine; the Origin tells which page it is. A name
+A browser lets any page that it has open talk to a WebSocket of this machine; the Origin names the page. A name
 of somebody else's that is made to lead here shows in the Host.
 """
 
@@ -46,8 +46,8 @@ def is_own(headers: Headers) -> bool:
 def guarded(host: str) -> Iterator[None]:
     """While it lasts, servers that viser starts refuse requests of foreign pages, if `host` is local.
 
-    Whoever connects and does not speak as a page does is told of in one line at most. Viser hands on no option of the
-    library beneath, so that library's function is exchanged for the moment.
+    A program that connects and does not speak as a page does is logged in one line at most. Viser hands on no option of
+    the library beneath, so that library's function is exchanged for the moment.
     """
     serve = server.serve
     server.serve = partial(_serve, serve, is_local(host))  # pyright: ignore[reportAttributeAccessIssue]
@@ -69,7 +69,7 @@ def _serve(
 
 
 class _OneLine(logging.Filter):
-    """Of connections that ask for nothing, as scans of ports make them, nothing; of others that fail, one line."""
+    """Log no line of connections without a request, as scans of ports make them; one line of others that fail."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else None

@@ -22,7 +22,7 @@ FRUSTUM = 0.04  # Length of a camera, in distances from the first camera to the 
 
 
 class Scenery:
-    """Things of a viewed in the scene of a server, each handed to browsers when it is first asked for."""
+    """Things of a viewed in the scene of a server, each handed to browsers when it is first shown."""
 
     def __init__(self, server: viser.ViserServer, viewed: ViewedScene, soon: Callable[[Callable[[], None]], None]):
         """Nothing is there yet; long work is given to `soon`, bit by bit."""
@@ -57,7 +57,7 @@ class Scenery:
             self._set_visible(f"/mesh/{name}", name == choice)
 
     def show_cameras(self, shown: bool) -> None:
-        """All cameras; one by one when they are first asked for."""
+        """Show or hide all cameras; they are added one by one at first."""
         if shown and self._scene.get_handle_by_name("/cameras") is None:
             self._scene.add_frame("/cameras", show_axes=False)
             for index, name in enumerate(self._viewed.cameras):

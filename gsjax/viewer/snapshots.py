@@ -1,4 +1,4 @@
-"""Gaussians of a training that goes on, copied when somebody asks."""
+"""Gaussians of a running training, copied on request."""
 
 import time
 from collections.abc import Callable
@@ -15,9 +15,9 @@ EVERY = 5.0  # Seconds between two snapshots, at least.
 
 
 class Snapshots:
-    """Between the training, which tells of every step, and the page, which asks now and then.
+    """Hands Gaussians of a training, which reports every step, to the page, which requests them now and then.
 
-    A step that nobody asked about costs one look at a flag.
+    A step without a request costs one test of a flag.
     """
 
     def __init__(self, steps: int, *, every: float = EVERY, clock: Callable[[], float] = time.monotonic):
@@ -26,7 +26,7 @@ class Snapshots:
         self._asked, self._taken, self._asked_at = Event(), None, -float("inf")
 
     def observe(self, progress: Progress) -> None:
-        """What the training loop tells after every step, from its own thread."""
+        """Receive the report of a step, in the training's own thread."""
         if self._asked.is_set():
             self._asked.clear()
             # The next step takes the buffers.
@@ -40,7 +40,7 @@ class Snapshots:
             )
 
     def news(self) -> News | None:
-        """What was copied since the last call, if anything; asks for the next where it is time."""
+        """What was copied since the last call, if anything; requests the next where it is time."""
         news, self._taken = self._taken, None
         if self._clock() - self._asked_at >= self._every and not self._asked.is_set():
             self._asked_at = self._clock()

@@ -1,4 +1,4 @@
-"""What is looked at: a run, a file of Gaussians, or a mesh, with the cameras and photos that belong to it."""
+"""The content of a page: a run, a file of Gaussians, or a mesh, with the cameras and photos that belong to it."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -39,14 +39,14 @@ class ViewedScene:
 
 
 def open_viewed_scene(
-    source: str | Path, *, mesh: str | Path | None = None, tell: Callable[[str], None] = lambda _: None
+    source: str | Path, *, mesh: str | Path | None = None, notify: Callable[[str], None] = lambda _: None
 ) -> ViewedScene:
     """Reads what a person named.
 
     Args:
-        source: A run folder; a file of Gaussians; or of a mesh. What a .ply holds, its header tells.
+        source: A run folder; a file of Gaussians; or of a mesh. The header of a .ply decides.
         mesh: A mesh that is shown with Gaussians; None: `mesh.ply` of a run that has one.
-        tell: Given a line where the photos of a run are not at hand.
+        notify: Receives a line where the photos of a run are not at hand.
 
     Raises:
         InputError: It is none of these, or cannot be read.
@@ -57,7 +57,7 @@ def open_viewed_scene(
     if mesh is not None:
         read_mesh(mesh)
     if source.is_dir():
-        return _of_run(source, Path(mesh) if mesh else None, tell)
+        return _of_run(source, Path(mesh) if mesh else None, notify)
     if is_mesh_file(source):
         if mesh is not None:
             raise InputError(f"{source}: is a mesh itself; --mesh goes with Gaussians")
@@ -91,7 +91,7 @@ def view_data_set(name: str, scene: Scene, background: str, depth_mode: DepthRea
     )
 
 
-def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> ViewedScene:
+def _of_run(run: Path, mesh: Path | None, notify: Callable[[str], None]) -> ViewedScene:
     result = _opened(run)
     own = run / "mesh.ply"
     if mesh is None and own.exists():
@@ -100,7 +100,7 @@ def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> Viewed
     try:
         photos = {frame.name: frame for frame in scene_of_run(run).frames}
     except InputError as error:
-        tell(f"no photos: {error}")
+        notify(f"no photos: {error}")
         photos = {}
     return ViewedScene(
         run.resolve().name,

@@ -29,7 +29,7 @@ def view(source: str | Path, *, mesh: str | Path | None = None, host: str = HOST
         InputError: The source or the mesh cannot be read, or the port is in use.
     """
     check_port(host, port)
-    viewed = open_viewed_scene(source, mesh=mesh, tell=_tell)
+    viewed = open_viewed_scene(source, mesh=mesh, notify=_tell)
     with suppress(KeyboardInterrupt), Page(viewed, host=host, port=port) as page:
         _tell(f"{page.address} shows {viewed.name}; Ctrl-C ends it")
         page.work()
@@ -51,7 +51,7 @@ def watch(
         port: 0 takes a free one.
 
     Yields:
-        What is to be told of every step, see `gsjax.pipeline.train`.
+        The observer of every step, see `gsjax.pipeline.train`.
 
     Raises:
         InputError: The data set cannot be read, or the port is in use.

@@ -1,4 +1,3 @@
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -62,14 +61,6 @@ def test_defaults_and_nested_values():
     assert isinstance(parsed.phases[0].losses[0].weight, float)
 
 
-def test_round_trip_through_json():
-    settings = Settings(
-        normals=Path("a/b"), final=Loss(0.5, 3), phases=(Phase("x"), Phase("y", 2, ())), rates={"a": 1.5}
-    )
-    again = config.parse(Settings, json.loads(json.dumps(config.to_dict(settings))))
-    assert again == settings
-
-
 @pytest.mark.parametrize(
     ("data", "message"),
     [
@@ -107,11 +98,6 @@ def test_every_fault_is_one_line_at_its_place(data, message):
     assert str(caught.value) == message
 
 
-def test_the_source_is_named():
-    with pytest.raises(InputError, match=r"^run/config\.json: seed is"):
-        config.parse(Settings, {"seed": None}, where="run/config.json")
-
-
 def test_merge_is_deep_and_leaves_its_arguments_alone():
     base = {"a": {"b": 1, "c": [1, 2]}, "d": 4}
     merged = config.merge(base, {"a": {"c": [3]}}, {"a": {"b": 2}, "e": {"f": 1}}, {"d": {"g": 0}})
@@ -134,11 +120,6 @@ def test_override_reads_json_and_makes_tables_where_there_are_none():
         "x": "",
     }
     assert data == {"phases": [{"name": "a", "steps": 1}], "x": 1}
-
-
-@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 5_000])
-def test_what_is_no_sensible_json_is_a_string(text):
-    assert config.override({}, [f"x={text}"]) == {"x": text}
 
 
 @pytest.mark.parametrize(

@@ -108,8 +108,8 @@ def reconstruct(
     from 8 to 400 mm of 35 mm film are where cameras start; where less than half of the photos get a pose so, mapping
     runs once more without them, and the model of more photos is kept. Each photo is matched with the twenty
     most like it, whatever their order, and with the next by name; the largest model is kept. The work is done in a
-    process of its own. Where the photos' GPS tells it, the model is in metres, x east, y north, z up, and `place.json`
-    says about which origin (`gsjax.scene.georeference`).
+    process of its own. Where the photos' GPS determines it, the model is in metres, x east, y north, z up, and
+    `place.json` says about which origin (`gsjax.scene.georeference`).
 
     Args:
         photos: Folder of photos, subfolders included; or a video, of which the sharpest frame of every stretch is

@@ -99,7 +99,7 @@ def _regions(geometry, a: Features, b: Features, first, second) -> tuple[Region,
 
 
 def map_photos(material: Material, workspace: Path, progress: Progress) -> tuple[Any, dict[str, str]]:
-    """Make the largest model, and tell why photos are not in it.
+    """Make the largest model, and give the reasons why photos are not in it.
 
     Returns:
         `pycolmap.Reconstruction` whose image ids count the photos from 1, and reasons by the names of photos left out.

@@ -124,9 +124,9 @@ def usable_photos(folder: Path) -> tuple[list[SourcePhoto], list[Fault]]:
     """List the photos of a folder and its subfolders, by name, with their masks; and the faults of damaged ones.
 
     Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` or `mask/`, in any case, in
-    it, beside it or beside photos holds masks (`gsjax.io.image_folders`), no photos. A file beside a photo is its mask
-    if its name is that of the photo and ends in `MASK_ENDS`. Data sets, runs, scans, and folders of derived pictures
-    such as `depth` or `thumbnails` hold no photos.
+    it, next to it or next to photos holds masks (`gsjax.io.image_folders`), no photos. A file next to a photo is its
+    mask if its name is that of the photo and ends in `MASK_ENDS`. Data sets, runs, scans, and folders of derived
+    pictures such as `depth` or `thumbnails` hold no photos.
 
     Raises:
         InputError: No folder, fewer than two photos, too few that are whole (`gsjax.io.bad_items`), or masks of which
@@ -155,7 +155,7 @@ def usable_photos(folder: Path) -> tuple[list[SourcePhoto], list[Fault]]:
 
 
 def _masks_beside(pictures: Mapping[str, Path]) -> dict[str, Path]:
-    """Return the masks beside photos, by the photo's name."""
+    """Return the masks in the folders of photos, by the photo's name."""
     ends = {end: len(end) for end in MASK_ENDS}
     of = {f: n[:-cut] for n, f in pictures.items() for end, cut in ends.items() if n.lower().endswith(end)}
     by_stem = {os.path.splitext(name)[0]: name for name, file in pictures.items() if file not in of}
@@ -164,7 +164,7 @@ def _masks_beside(pictures: Mapping[str, Path]) -> dict[str, Path]:
 
 
 def _masks_in_folders(root: Path, photos: Mapping[str, Path]) -> dict[str, Path]:
-    """Return the masks in the first folder of masks in or beside the photos' folder, else in one beside each photo."""
+    """Return the masks in the first folder of masks in or next to the photos' folder, else in folders of photos."""
     folders = [path for place in (root, root.parent) for path in _mask_folders(place) if path != root]
     masks = masks_in(folders[0], photos) if folders else {}
     for parent in {file.parent for file in photos.values()} - {root}:

@@ -62,7 +62,7 @@ def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Calla
 def transfer_function(video: Path) -> str | None:
     """Read PQ or HLG from the file of a video; None where it states another transfer function, or none.
 
-    MP4 and MOV state it in a `colr` box, beside their other tables and never in their pictures; Matroska and WebM in an
+    MP4 and MOV state it in a `colr` box, among their other tables and never in their pictures; Matroska and WebM in an
     element of their head. OpenCV does not report it.
     """
     with video.open("rb") as file:

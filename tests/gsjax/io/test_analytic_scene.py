@@ -1,5 +1,3 @@
-import json
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,9 +8,7 @@ from PIL import Image
 from tqdm import tqdm
 
 from gsjax.analytic import solids
-from gsjax.errors import InputError
 from gsjax.io import analytic_scene
-from gsjax.io.scenes import load_scene
 from gsjax.scene.cameras import unproject
 
 VIEWS, SIZE = 5, (36, 30)
@@ -103,33 +99,3 @@ def test_the_mesh_opens_elsewhere_with_its_colours(folder):
     vertices = np.asarray(mesh.vertices, np.float32)
     albedo = np.asarray(jax.jit(jax.vmap(solids.albedo))(vertices))
     np.testing.assert_allclose(mesh.visual.vertex_colors[:, :3], 255 * albedo, atol=0.6)
-
-
-def test_it_loads_as_a_scene_with_truth(folder):
-    scene = load_scene(folder)
-    assert [frame.name for frame in scene.held_out_frames] == ["000.png"]
-    numbers = json.loads((folder / "scene.json").read_text())
-    assert numbers["test"] == [0]
-    K = scene.frames[0].K
-    np.testing.assert_allclose([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], numbers["K"], rtol=1e-6)
-    assert scene.truth is not None
-    assert scene.truth.points is not None
-    assert set(scene.truth.depths) == {frame.name for frame in scene.frames}
-    np.testing.assert_array_equal(scene.truth.points, np.load(folder / "gt_points.npz")["points"])
-
-
-def test_a_folder_in_use_is_left_alone(tmp_path):
-    (tmp_path / "mine.txt").write_text("keep")
-    with pytest.raises(InputError, match="not empty"):
-        analytic_scene.write(tmp_path)
-    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
-
-
-def test_nothing_is_left_of_a_run_that_fails(tmp_path, monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(solids, "trace", full)
-    with pytest.raises(InputError, match=r"scene: No space left on device"):
-        analytic_scene.write(tmp_path / "scene", num_views=2, size=(8, 8), progress=lambda **o: tqdm(disable=True))
-    assert list(tmp_path.iterdir()) == []

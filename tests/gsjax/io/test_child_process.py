@@ -39,10 +39,6 @@ def fail(progress):
     raise KeyError("a bug")
 
 
-def leave(progress):
-    os._exit(3)
-
-
 def sleep(pid_file, progress):
     pid_file.write_text(str(os.getpid()))
     with progress(total=1, desc="sleeping", unit="one") as bar:
@@ -68,11 +64,6 @@ def test_a_crash_is_one_line_with_the_last_words(number):
     expected = rf"^it: the process was ended by {number.name} \(database is locked\)(; was there memory left\?)?$"
     with pytest.raises(InputError, match=expected):
         run_in_child(crash, number, name="it", progress=quietly)
-
-
-def test_an_end_without_a_word_is_one_line():
-    with pytest.raises(InputError, match=r"^it: the process ended with code 3$"):
-        run_in_child(leave, name="it", progress=quietly)
 
 
 def test_errors_keep_their_kind():

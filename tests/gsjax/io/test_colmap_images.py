@@ -35,14 +35,6 @@ def test_every_image_is_read_with_and_without_lines_of_keypoints(colmap_scene, k
     assert len(scene.tracks().point) == (10 if keypoints else 0)
 
 
-def test_names_with_spaces_are_whole(colmap_scene):
-    root = colmap_scene(text=True)
-    for file in (root / "images").iterdir():
-        file.rename(file.with_name(f"A DJI 2024 {file.name}"))
-    rename(root, lambda name: f"A DJI 2024 {name}")
-    assert [f.name for f in load_scene(root).frames] == [f"A DJI 2024 {i:03d}.png" for i in range(10)]
-
-
 @pytest.mark.parametrize("quat", ["2 0 0 0", "0.99 0 0 0", "-1 0 0 0"])
 def test_quaternions_of_any_length_turn_and_do_not_shear(colmap_scene, quat):
     root = colmap_scene(text=True)
@@ -75,24 +67,6 @@ def test_focal_lengths_that_are_not_positive_are_refused(colmap_scene, model, pa
     root = colmap_scene(model=model, params=params, text=text)
     with pytest.raises(InputError, match=r"cameras.(txt|bin): camera 1 \(.*has a focal length that is not positive"):
         load_scene(root)
-
-
-@pytest.mark.parametrize("name", ["frames.bin", "rigs.bin"])
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.99])
-def test_rigs_and_frames_that_are_cut_are_named(colmap_scene, name, share):
-    root = colmap_scene()
-    file = root / "sparse/0" / name
-    data = file.read_bytes()
-    file.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(InputError, match=f"{name}: truncated"):
-        load_scene(root)
-
-
-def test_a_model_of_older_programs_has_no_rigs(colmap_scene):
-    root = colmap_scene()
-    (root / "sparse/0/rigs.bin").unlink()
-    (root / "sparse/0/frames.bin").unlink()
-    assert len(load_scene(root).frames) == 10
 
 
 def test_colours_of_fractions_are_shares(colmap_scene):
@@ -156,3 +130,10 @@ def test_names_in_latin1_are_found_by_their_bytes_or_as_unicode(colmap_scene, te
 def test_a_single_image_is_refused(colmap_scene, count):
     with pytest.raises(InputError, match=f"{count} posed image in it"):
         load_scene(colmap_scene(count=count))
+
+
+def test_a_model_of_older_programs_has_no_rigs(colmap_scene):
+    root = colmap_scene()
+    (root / "sparse/0/rigs.bin").unlink()
+    (root / "sparse/0/frames.bin").unlink()
+    assert len(load_scene(root).frames) == 10

@@ -2,13 +2,12 @@
 
 import os
 
-import numpy as np
 import pycolmap
 import pytest
 
 from gsjax.errors import InputError
 from gsjax.io.colmap_model import read_model
-from gsjax.io.colmap_writer import write_poses, write_whole
+from gsjax.io.colmap_writer import write_whole
 
 
 class OnAFullDisk:
@@ -40,16 +39,3 @@ def test_a_folder_that_cannot_be_written_is_told(colmap_scene, tmp_path):
     (tmp_path / "out/points3D.bin").mkdir(parents=True)
     with pytest.raises(InputError, match="cannot write .*out"):
         write_whole(model, tmp_path / "out")
-
-
-def test_poses_are_given_anew_and_those_of_a_cut_model_are_not(colmap_scene):
-    folder = colmap_scene() / "sparse/0"
-    moved = np.eye(4)
-    moved[:3, 3] = 1, 2, 3
-    write_poses(folder, {"003.png": moved})
-    viewmats = {image.name: image.viewmat for image in read_model(folder).images}
-    np.testing.assert_allclose(viewmats["003.png"], moved, atol=1e-12)
-    assert viewmats["004.png"][0, 3] == pytest.approx(0.4)
-    os.truncate(folder / "frames.bin", 100)
-    with pytest.raises(InputError, match="frames.bin: truncated"):
-        write_poses(folder, {"003.png": moved})

@@ -78,21 +78,7 @@ def packed(tags, colors, connection, kind):
     return head.ljust(128, b"\0") + table + data
 
 
-def cmyk_profile():
-    """Inks that take away their light, black all of it: Lab at the corners of the cube, linear between them."""
-    corners = np.stack(np.meshgrid(*[[0, 1]] * 4, indexing="ij"), -1).reshape(16, 4)
-    rgb = (1 - corners[:, :3]) * (1 - corners[:, 3:])
-    space = ImageCms.buildTransform(ImageCms.createProfile("sRGB"), ImageCms.createProfile("LAB"), "RGB", "LAB")
-    lab = np.asarray(space.apply(Image.fromarray((255 * rgb[None]).astype(np.uint8)))).reshape(16, 3).copy()
-    lab[:, 1:] = (lab[:, 1:].astype(int) + 128) % 256  # Pillow has signed bytes, ICC an offset of 128
-    ramp = bytes(range(256))
-    table = struct.pack(">4s4xBBBx9i", b"mft1", 4, 3, 2, *(65536 * np.eye(3, dtype=int)).ravel().tolist())
-    return packed({b"A2B0": table + 4 * ramp + lab.tobytes() + 3 * ramp}, b"CMYK", b"Lab ", b"prtr")
-
-
 LOSSY = "a.jpg", "a.heic", "a.avif"
-WHOLE_CHROMA = {"a.jpg": {"subsampling": 0}, "a.avif": {"subsampling": "4:4:4"}, "a.heic": {"chroma": 444}}
-OPTIONS = WHOLE_CHROMA | {"a.webp": {"lossless": True}}
 
 
 def lively(side=32):
@@ -136,29 +122,6 @@ def test_alpha_and_palettes_and_sixteen_bits_are_converted_too(tmp_path):
     assert psnr(read_image(tmp_path / "deep.tif")[0][..., 0], srgb_of((grey / 65535) ** 1.8)) > 46
 
 
-@pytest.mark.parametrize("colors", [b"GRAY", b"RGB "])
-@pytest.mark.parametrize("mode", ["L", "LA"])
-def test_grey_photos_take_a_profile_of_grey_or_of_colours(tmp_path, mode, colors):
-    grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    Image.fromarray(grey).convert(mode).save(tmp_path / "a.png", icc_profile=profile("prophoto", colors))
-    assert psnr(read_image(tmp_path / "a.png")[0], srgb_of((grey / 255.0) ** 1.8)[..., None]) > 46
-
-
-def test_cmyk_is_converted_by_its_profile(tmp_path):
-    """Ink by ink at the corners of the cube, where the table is exact; between them the profile's Lab decides."""
-    inks = np.array([[[0, 0, 0, 0], [255, 0, 0, 0], [0, 255, 255, 0], [0, 0, 0, 255], [255, 255, 0, 0]]], np.uint8)
-    blocks = np.repeat(np.repeat(inks, 16, 0), 16, 1)
-    Image.fromarray(blocks, "CMYK").save(tmp_path / "a.tif", icc_profile=cmyk_profile())
-    expected = np.array([[255, 255, 255], [0, 255, 255], [255, 0, 0], [0, 0, 0], [0, 0, 255]])
-    assert np.abs(read_image(tmp_path / "a.tif")[0][8, 8::16].astype(int) - expected).max() <= 4
-    half = np.full((8, 8, 4), [0, 0, 0, 128], np.uint8)
-    Image.fromarray(half, "CMYK").save(tmp_path / "half.tif", icc_profile=cmyk_profile())
-    Image.fromarray(half, "CMYK").save(tmp_path / "bare.tif")
-    # Half of black ink halves L* (116 f(Y) - 16), which is 119 of 255 in sRGB, where a bare inversion has 127.
-    assert np.abs(read_image(tmp_path / "half.tif")[0].astype(int) - 119).max() <= 2
-    assert np.abs(read_image(tmp_path / "bare.tif")[0].astype(int) - 127).max() <= 1
-
-
 def test_a_profile_of_srgb_changes_no_byte_and_masks_have_none(tmp_path, capsys):
     colors = np.random.default_rng(0).integers(0, 256, (9, 9, 3), dtype=np.uint8)
     srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
@@ -169,7 +132,7 @@ def test_a_profile_of_srgb_changes_no_byte_and_masks_have_none(tmp_path, capsys)
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("broken", [b"no profile", profile("p3")[:200], profile("p3", b"GRAY"), cmyk_profile()])
+@pytest.mark.parametrize("broken", [b"no profile", profile("p3")[:200], profile("p3", b"GRAY")])
 def test_a_profile_that_cannot_be_used_is_one_line_and_the_colours_are_srgb(tmp_path, capsys, broken):
     colors = np.random.default_rng(0).integers(0, 256, (9, 9, 3), dtype=np.uint8)
     for name in ("a.png", "b.png"):

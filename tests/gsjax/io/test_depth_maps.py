@@ -1,8 +1,7 @@
-"""Measured depth: what files hold, in their unit, at the pixels of a frame; and clouds of points to start from."""
+"""Measured depth: what files hold, in their unit, at the pixels of a frame."""
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from PIL import Image
 from gsjax.errors import InputError
 from gsjax.io.depth_maps import open_depth_maps
 from gsjax.io.depth_windows import on_grid
-from gsjax.io.point_clouds import read_points
 from gsjax.scene import Origin, Pixels, frame_of
 
 WIDTH, HEIGHT = 12, 8
@@ -137,33 +135,3 @@ def test_what_cannot_serve_is_one_line(tmp_path, fault, message, capfd):
     with pytest.raises(InputError, match=message) as caught:
         opened(tmp_path, None if "unit" in fault else "mm").read["a.jpg"]()
     assert "\n" not in str(caught.value)
-
-
-def write_ply(file, columns, rows):
-    header = "".join(f"property {kind} {name}\n" for name, kind in columns.items())
-    body = "\n".join(" ".join(map(str, row)) for row in rows)
-    file.write_text(f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{header}end_header\n{body}\n")
-    return file
-
-
-def test_a_cloud_with_colours_of_bytes_of_shares_and_without(tmp_path, capsys):
-    write = partial(write_ply, tmp_path / "cloud.ply")
-    xyz = dict.fromkeys("xyz", "double")
-    points, colors = read_points(write(xyz, [(1, 2, 3.5), (4, 5, 6)]))
-    np.testing.assert_array_equal(points, [[1, 2, 3.5], [4, 5, 6]])
-    np.testing.assert_array_equal(colors, 128)
-    rgb = ("red", "green", "blue")
-    rows = [(1, 2, 3, 0, 128, 255), (4, 5, 6, 9, 8, 7)]
-    np.testing.assert_array_equal(read_points(write(xyz | dict.fromkeys(rgb, "uchar"), rows))[1][0], [0, 128, 255])
-    rows = [(1, 2, 3, 0, 0.5, 1), (4, 5, 6, 0, 0, 0)]
-    np.testing.assert_array_equal(read_points(write(xyz | dict.fromkeys(rgb, "float"), rows))[1][0], [0, 128, 255])
-    with pytest.raises(InputError, match=r"cloud.ply: has no points \(an element vertex with x, y and z\)"):
-        read_points(write({"x": "float", "y": "float"}, [(1, 2), (3, 4)]))
-    with pytest.raises(InputError, match="cloud.ply: holds values that are not finite; 1 of 2 points cannot be used"):
-        read_points(write(xyz, [(1, 2, "nan"), (4, 5, 6)]))
-    points, colors = read_points(write(xyz, [(1, 2, 3), ("inf", 2, 3), (4, 5, 6)]))
-    np.testing.assert_array_equal(points, [[1, 2, 3], [4, 5, 6]])
-    assert len(colors) == 2
-    assert "cloud.ply: holds values that are not finite; 1 of 3 points is left out\n" in capsys.readouterr().err
-    with pytest.raises(InputError, match="cloud.ply: 1 points in it, at least 2 are needed"):
-        read_points(write(xyz, [(1, 2, 3)]))

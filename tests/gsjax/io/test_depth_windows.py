@@ -62,17 +62,6 @@ def test_of_a_map_of_another_shape_the_middle_shows_the_photo(tmp_path, size, ph
     assert np.abs(found - expected)[is_measured].max() < (0.9 + 0.5) * 0.5 / min(focal, K[0, 0]) + 1e-3
 
 
-def test_a_small_map_puts_each_value_of_its_middle_at_one_pixel():
-    """The map of 4x4 shows one row more above and below than a photo of 12x6."""
-    values = np.arange(1, 17, dtype=np.float32).reshape(4, 4)
-    photo = frame(12, 6)
-    window, _ = window_of("a.png", (4, 4), photo, None)
-    found, _ = on_grid(whole(values), photo, 1, window)
-    expected = np.zeros((6, 12), np.float32)
-    expected[1::3, 1::3] = values[1:3]
-    np.testing.assert_array_equal(found, expected)
-
-
 def test_intrinsics_place_a_map_where_its_camera_looked(tmp_path):
     """A sensor with a wider view, off the photo's axis, that misses the right edge of the photo."""
     photo = frame(60, 40, 70.0, (31.0, 19.0))

@@ -116,14 +116,6 @@ def test_a_shot_is_held_out_with_all_of_its_files(tmp_path):
     assert held_out(photos, "5", tmp_path) == ["a0.png", "a5.png", "z4.jpg", "z9.jpg"]
 
 
-def test_a_shot_of_many_files_is_trained_on_where_another_can_be_held_out(tmp_path):
-    noise = np.random.default_rng(0)
-    still = texture(0)
-    stills = {f"b{n}.png": np.uint8(np.clip(still + noise.integers(-3, 4, still.shape), 0, 255)) for n in range(9)}
-    files = save(tmp_path, {**{f"a{n}.png": texture(n) for n in range(8)}, **stills})
-    assert held_out(photos_of(files), "auto", tmp_path) == ["a1.png"]
-
-
 @pytest.mark.parametrize("stated", ["own", "hold_out.txt", "mine.txt"])
 def test_copies_of_photos_that_a_split_names_are_held_out_with_them(tmp_path, capfd, stated):
     files = save(tmp_path / stated / "images", {**{f"a{n}.png": texture(n) for n in range(4)}, "c.png": texture(2)})
@@ -134,15 +126,3 @@ def test_copies_of_photos_that_a_split_names_are_held_out_with_them(tmp_path, ca
     assert held_out(photos, str(root / stated) if stated == "mine.txt" else "auto", root) == ["a2.png", "c.png"]
     assert f"{root}: held out as well, as they show the same shots as held-out photos: c.png" in capfd.readouterr().err
     assert held_out([replace(photo, held_out=True) for photo in photos], "none", root) == []
-
-
-def test_a_photo_whose_pixels_are_damaged_is_a_group_of_its_own(tmp_path):
-    noise = np.random.default_rng(0).integers(0, 256, (40, 60, 3), dtype=np.uint8)
-    files = [tmp_path / name for name in ("a.png", "b.png", "c.png")]
-    for file in files:
-        Image.fromarray(noise).save(file)
-    data = bytearray(files[1].read_bytes())
-    at = data.index(b"IDAT") + 100
-    data[at : at + 300] = bytes(300)
-    files[1].write_bytes(data)
-    assert group_duplicates(files) == [[0, 2], [1]]

@@ -57,14 +57,6 @@ def test_a_photo_without_exif_or_orientation_is_upright_as_stored(tmp_path):
     assert orientation(photo(tmp_path / "b.jpg", tags.tobytes())) == 1
 
 
-def test_a_damaged_table_of_details_leaves_maker_and_orientation(tmp_path):
-    data = bytearray(exif())
-    at = data.index(b"\x87\x69\0\x04") + 8
-    data[at : at + 4] = b"\x7f\xff\xff\xff"  # where the table lies: beyond the end
-    shot = read_source_photo(photo(tmp_path / "a.jpg", bytes(data)), "a.jpg")
-    assert shot.camera[0] == "Maker" and (shot.to_upright, shot.size) == (1, (40, 30))
-
-
 def test_exif_whose_orientation_cannot_be_read_is_told(tmp_path, capsys):
     path = photo(tmp_path / "a.jpg", b"Exif\0\0MM\0*\0\0\0\x08 nothing of it is left")
     assert read_source_photo(path, "a.jpg").to_upright == 0

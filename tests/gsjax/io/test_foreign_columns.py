@@ -6,7 +6,6 @@ from small_scenes import cloud
 
 from gsjax.errors import InputError
 from gsjax.gaussians import covariances
-from gsjax.io.compressed_ply import read_compressed_ply, write_compressed_ply
 from gsjax.io.foreign_columns import fuse_filter
 from gsjax.io.ply import read_gaussians, write_gaussians
 
@@ -44,27 +43,12 @@ def test_a_3d_filter_is_fused(tmp_path, capsys, name):
     assert capsys.readouterr().err == f"{tmp_path / 'g.ply'}: {name} is fused into scales and opacities\n"
 
 
-def test_the_filter_of_a_small_opaque_gaussian(tmp_path):
-    """A deviation of 0.011 and an opacity of 0.85, smoothed by 0.0213, are 0.024 and 0.08."""
-    log_scales, logits = np.full((1, 3), np.log(0.011)), np.array([[np.log(0.85 / 0.15)]])
-    scales, logits = fuse_filter(log_scales, logits, np.array([[0.02133]]))
-    np.testing.assert_allclose(np.exp(scales), 0.024, rtol=1e-3)
-    np.testing.assert_allclose(opacities(logits), 0.85 * (0.011 / 0.024) ** 3, rtol=1e-3)
-
-
 @pytest.mark.parametrize(("logit", "width"), [(88.0, 0.0), (-88.0, 0.0), (88.0, 1e-20), (40.0, 1e-3), (-88.0, 1e6)])
 def test_extremes_stay_numbers(logit, width):
     log_scales, logits = fuse_filter(np.full((1, 3), -3.0), np.array([[logit]]), np.array([[width]]))
     assert np.isfinite(log_scales).all() and np.isfinite(logits).all()
     if width < 1e-10:
         np.testing.assert_allclose(logits, logit, rtol=1e-6)
-
-
-def test_a_filter_that_is_no_number_costs_its_row(tmp_path, capsys):
-    write_gaussians(tmp_path / "g.ply", cloud(5))
-    with_columns(tmp_path / "g.ply", filter_3D=[0.1, np.nan, 0.1, np.inf, 0.1])
-    assert read_gaussians(tmp_path / "g.ply").num_gaussians == 3
-    assert "2 of 5 Gaussians hold values that are not finite; they are left out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -95,14 +79,6 @@ def test_other_columns_are_named_once(tmp_path, capsys):
     for _ in range(2):
         np.testing.assert_array_equal(read_gaussians(tmp_path / "g.ply").log_scales, gaussians.log_scales)
     assert capsys.readouterr().err == f"{tmp_path / 'g.ply'}: columns that are not read: roughness, label_*\n"
-
-
-def test_our_own_files_have_nothing_to_name(tmp_path, capsys):
-    write_gaussians(tmp_path / "g.ply", cloud(5))
-    read_gaussians(tmp_path / "g.ply")
-    write_compressed_ply(tmp_path / "g.compressed.ply", cloud(5))
-    read_compressed_ply(tmp_path / "g.compressed.ply")
-    assert not capsys.readouterr().err
 
 
 def normals(path):

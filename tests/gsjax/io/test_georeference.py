@@ -50,11 +50,6 @@ def test_gps_is_read_on_every_side_of_the_earth_and_below_the_sea(tmp_path, plac
     np.testing.assert_allclose(fix_of(tmp_path, *place), place, atol=1e-6)
 
 
-def test_without_an_altitude_or_with_one_over_zero_the_place_is_kept(tmp_path):
-    assert np.isnan(fix_of(tmp_path, 48.1, 11.5).altitude)
-    assert np.isnan(fix_of(tmp_path, *MUNICH, t6=IFDRational(5, 0)).altitude)
-
-
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
@@ -132,14 +127,6 @@ def test_gps_on_a_line_leaves_up_to_the_cameras_and_says_so():
     tilt, off = errors(viewmats, found.place, places)
     assert "up by the cameras (the GPS tells it" in found.summary
     assert tilt < 2 and off < 0.03  # What is held to 2 degrees by each of 40 hands.
-
-
-def test_without_altitudes_up_is_the_cameras_and_the_origin_has_no_height():
-    viewmats, fixes, places = flight(MUNICH, noise=0.3)
-    found = georeference(viewmats, [fix._replace(altitude=np.nan) for fix in fixes])
-    tilt, off = errors(viewmats, found.place, places)
-    assert "no altitudes" in found.summary and found.place.origin[2] is None
-    assert tilt < 1 and off < 0.02
 
 
 @pytest.mark.parametrize(("path", "kept", "told"), [("spot", COUNT, "told apart"), ("ring", 2, "in 2 of 40 photos")])

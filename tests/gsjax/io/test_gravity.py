@@ -99,13 +99,6 @@ def test_most_photos_decide_and_the_error_is_told():
     assert found.source == "the gravity that 28 photos noted"
 
 
-def test_too_few_photos_or_such_as_do_not_agree_tell_nothing():
-    viewmats, downs, _ = poses(9)
-    assert up_by_gravity(viewmats, [*downs[:2], *[None] * 7]) is None
-    assert up_by_gravity(viewmats, [(0.0, 0.0, 1.0)] * 9) is None
-    assert up_by_gravity(viewmats, downs[::-1]) is None
-
-
 def test_without_gps_a_model_is_turned_upright_and_its_folder_says_so(tmp_path):
     viewmats, downs, up = poses(12, tilted=0.0)
     model = pycolmap.Reconstruction()

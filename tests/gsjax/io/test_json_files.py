@@ -86,11 +86,6 @@ def test_what_is_no_json_is_told(tmp_path, data, message):
     assert str(caught.value).startswith(f"{tmp_path / 'a.json'}: {message}")
 
 
-def test_fifty_levels_are_read(tmp_path):
-    (tmp_path / "a.json").write_bytes(b"[" * 50 + b"]" * 50)
-    json_files.read(tmp_path / "a.json")
-
-
 def test_fuzz_json(tmp_path):
     path = tmp_path / "a.json"
 

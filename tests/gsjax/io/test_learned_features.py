@@ -13,7 +13,6 @@ from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io.sfm import initial_cameras, learned, mapping, pairs, reconstruct
-from gsjax.io.sfm.features import Features, match
 from gsjax.io.sfm.source_photos import list_source_photos, read_source_photo
 
 quietly = partial(tqdm, disable=True)
@@ -136,32 +135,6 @@ def test_nearest_descriptors_of_disk_pass_the_verification_of_colmap(weights, wo
         a, b = (found[photo].descriptors[rows] for photo, rows in zip((i, j), geometry.inlier_matches.T, strict=True))
         assert len(a) > 90
         np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5)  # each dot with the one of its colour
-
-
-@needs_opencv_5
-def test_lightglue_gets_places_about_the_centre_in_halves_of_the_longer_side(tmp_path):
-    rng = np.random.default_rng(0)
-    size, order = np.array([300, 200]), rng.permutation(40)
-    xy = rng.uniform(0, size, (40, 2))
-    a, b = (Features(points, np.ones((40, 128), np.float32)) for points in (xy, 2 * xy[order]))
-    network = cv2.LightGlueMatcher.create(str(small_lightglue(tmp_path / "mirror.onnx", mirrored=True)))
-    shots = [SimpleNamespace(size=(300, 200), to_upright=0), SimpleNamespace(size=(600, 400), to_upright=2)]
-    glue = learned.LightGlue(network, tmp_path / "mirror.onnx", shots, [a, b])
-    found = glue(0, 1)
-    assert found.dtype == np.uint32
-    np.testing.assert_array_equal(order[found[:, 1]], found[:, 0])
-    assert len(found) == 40
-    nothing = Features(xy[:0], a.descriptors[:0])
-    assert learned.LightGlue(network, tmp_path, shots, [a, nothing])(0, 1).shape == (0, 2)
-
-
-def test_descriptors_of_networks_match_from_a_cosine_of_085_on():
-    rng = np.random.default_rng(0)
-    basis = np.linalg.qr(rng.normal(size=(128, 128)))[0].astype(np.float32)
-    a = basis[:4]
-    cosines = np.array([0.84, 0.86, 0.95, 0.5], np.float32)[:, None]
-    b = cosines * a + np.sqrt(1 - cosines**2) * basis[4:8]
-    np.testing.assert_array_equal(match(a, b, nearness=learned._NEARNESS), [[1, 1], [2, 2]])
 
 
 def test_what_does_not_go_together_is_refused_before_anything_is_read(tmp_path):

@@ -111,14 +111,6 @@ def test_a_resized_lens_records_every_ray_at_the_resized_place(model, size):
         assert smaller.model == model
 
 
-def test_fisheye_without_coefficients_is_still_a_fisheye():
-    (view,) = pinhole_views(lens_of("FISHEYE"))
-    corner = np.array([0.5, 0.5])
-    angle_radius = np.linalg.norm((corner - view.K[:2, 2]) / [110.0, 111.0])
-    source_radius = np.linalg.norm((view.source_xy[0, 0] - CENTER) / [110.0, 111.0])
-    assert source_radius == pytest.approx(np.arctan(angle_radius), rel=1e-4)
-
-
 def test_bare_border_is_cut_and_the_principal_point_moves_with_it():
     lens = Lens("SIMPLE_RADIAL", WIDTH, HEIGHT, (110.0, *CENTER, 0.1))  # corners of the target lie outside the photo
     (view,) = pinhole_views(lens)
@@ -191,7 +183,3 @@ def test_a_fisheye_photo_is_faces_however_far_its_corners_lie(degrees):
     focal = np.hypot(100, 75) / np.radians(degrees)
     views = pinhole_views(Lens("OPENCV_FISHEYE", 200, 150, (focal, focal, 100, 75, 0, 0, 0, 0)))
     assert {"_front", "_right", "_left"} <= {view.suffix for view in views}
-
-
-def test_a_fisheye_photo_of_no_more_than_sixty_degrees_is_one_view():
-    assert [view.suffix for view in pinhole_views(lens_of("OPENCV_FISHEYE"))] == [""]

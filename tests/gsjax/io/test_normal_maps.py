@@ -7,7 +7,7 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
-from gsjax.io.normal_maps import map_places, normal_maps, resize_normals
+from gsjax.io.normal_maps import map_places, normal_maps
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Pixels, frame_of
 
@@ -117,15 +117,6 @@ def test_missing_maps_are_all_counted(tmp_path):
         load_normals(tmp_path, frames(*[f"{i}.png" for i in range(7)]))
     with pytest.raises(InputError, match="no such folder of normal maps"):
         load_normals(tmp_path / "nowhere", frames())
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_values_that_are_not_finite_are_counted(tmp_path, value):
-    normals = smooth_normals()
-    normals[2, 3:6, 1] = value
-    np.save(tmp_path / "001.npy", normals)
-    with pytest.raises(InputError, match=r"001.npy: 3 pixels of the normal map are not finite"):
-        load_normals(tmp_path, frames())
 
 
 @pytest.mark.parametrize(
@@ -260,17 +251,6 @@ def test_distorted_maps_whose_size_does_not_tell_what_they_show_are_refused(dist
         read(np.zeros((*size[::-1], 3), np.float32))
     with pytest.raises(InputError, match="100x100, neither its photo's, 160x120, nor its undistorted frame's"):
         read(np.zeros((100, 100, 3), np.float32))
-
-
-@pytest.mark.parametrize("size", [(24, 16), (12, 8), (7, 5)])
-def test_resized_maps_are_unit_and_zero_where_the_nearest_is(size):
-    normals = smooth_normals()
-    normals[:, :6] = 0
-    resized_map = resize_normals(normals, *size)
-    known = resized_map.any(axis=-1)
-    assert resized_map.shape == (*size[::-1], 3)
-    np.testing.assert_allclose(np.linalg.norm(resized_map[known], axis=-1), 1, atol=1e-6)
-    assert not known[:, : size[0] // 2].any() and known[:, (size[0] + 1) // 2 :].all()
 
 
 def test_places_of_maps_stay_in_their_folder_and_apart():

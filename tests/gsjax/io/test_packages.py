@@ -35,12 +35,6 @@ def test_a_package_is_looked_for_without_loading_it_and_loaded_when_it_is_used(m
         _ = Deferred("not_there").pi
 
 
-def test_importing_meshing_loads_no_package_of_an_extra():
-    code = "import sys, gsjax.meshing; from gsjax.io.packages import EXTRAS; print(*set(EXTRAS) & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()) <= {"zstandard"}, "which jax loads"
-
-
 def test_sigterm_keeps_the_handler_of_the_program():
     """pycolmap's log takes SIGTERM for itself; in a process of its own, for it does so once."""
     program = """

@@ -5,7 +5,6 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians, take
-from gsjax.io import point_clouds
 from gsjax.io.ply import read_gaussians, read_points, write_gaussians
 
 PLY_TYPES = {"uchar": "u1", "ushort": "<u2", "float": "<f4"}
@@ -219,8 +218,7 @@ def test_colours_instead_of_harmonics(tmp_path, kind, most):
     colors = read_gaussians(tmp_path / "g.ply").sh_dc[:, 0] * SH_C0 + 0.5
     expected = [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
     np.testing.assert_allclose(colors, expected, atol=1e-6)
-    for read in (read_points, point_clouds.read_points):
-        np.testing.assert_array_equal(read(tmp_path / "g.ply")[1], 255 * np.array(expected))
+    np.testing.assert_array_equal(read_points(tmp_path / "g.ply")[1], 255 * np.array(expected))
 
 
 def test_bad_headers_are_named(tmp_path):
@@ -267,20 +265,19 @@ def test_what_is_no_ply_or_cannot_be_written_is_named(tmp_path):
         write_gaussians(tmp_path / "g.ply/h.ply", some_gaussians())
 
 
-def test_compressed_gaussians_under_the_plain_suffix_are_told(tmp_path):
-    write_table(tmp_path / "g.ply", ["packed_position", "x"], [[1, 2]])
-    with pytest.raises(InputError, match=r"g.ply: holds compressed Gaussians; name it g.compressed.ply"):
-        read_gaussians(tmp_path / "g.ply")
-
-
-def test_points_without_colours_are_grey_and_broken_ones_are_left_out(tmp_path):
+def test_points_without_colours_are_grey_and_broken_ones_are_left_out(tmp_path, capsys):
     write_table(tmp_path / "p.ply", ["x", "y", "z"], [[1, 2, 3], [np.nan, 0, 0], [4, 5, 6]])
     points, colors = read_points(tmp_path / "p.ply")
     np.testing.assert_array_equal(points, [[1, 2, 3], [4, 5, 6]])
     assert (colors == 128).all() and colors.shape == (2, 3)
-    write_table(tmp_path / "p.ply", ["x", "y"], [[1, 2]])
-    with pytest.raises(InputError, match="it lacks z"):
-        read_points(tmp_path / "p.ply")
+    assert "p.ply: holds values that are not finite; 1 of 3 points is left out\n" in capsys.readouterr().err
+    for names, row, fault in (
+        (["x", "y"], [1, 2], "it lacks z"),
+        (["x", "y", "z"], [1, 2, 3], "1 points in it, at least 2 are needed"),
+    ):
+        write_table(tmp_path / "p.ply", names, [row])
+        with pytest.raises(InputError, match=fault):
+            read_points(tmp_path / "p.ply", least=2)
 
 
 @pytest.mark.parametrize(
@@ -295,30 +292,17 @@ def test_gaussians_as_points_have_their_colours(tmp_path):
     gaussians = some_gaussians()
     write_gaussians(tmp_path / "g.ply", gaussians)
     expected = np.clip(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, 0, 1)
-    for read in (read_points, point_clouds.read_points):
-        points, colors = read(tmp_path / "g.ply")
-        np.testing.assert_allclose(points, gaussians.means, rtol=1e-6)
-        np.testing.assert_allclose(colors / 255, expected, atol=0.5001 / 255)
+    points, colors = read_points(tmp_path / "g.ply")
+    np.testing.assert_allclose(points, gaussians.means, rtol=1e-6)
+    np.testing.assert_allclose(colors / 255, expected, atol=0.5001 / 255)
 
 
-def test_a_mesh_of_another_library_gives_its_vertices(tmp_path):
-    import trimesh
-
-    box = trimesh.creation.box()
-    box.visual.vertex_colors = np.arange(32, dtype=np.uint8).reshape(8, 4)
-    box.export(tmp_path / "box.ply")
-    points, colors = read_points(tmp_path / "box.ply")
-    np.testing.assert_allclose(points, box.vertices)
-    np.testing.assert_array_equal(colors, np.arange(32).reshape(8, 4)[:, :3])
-
-
-@pytest.mark.parametrize("reader", [read_points, point_clouds.read_points])
 @pytest.mark.parametrize(("kind", "far", "is_told"), [("f4", 4.5e6, True), ("f8", 4.5e6, False), ("f4", 0.0, False)])
-def test_a_cloud_that_single_precision_has_put_on_a_grid_is_told(tmp_path, capsys, reader, kind, far, is_told):
+def test_a_cloud_that_single_precision_has_put_on_a_grid_is_told(tmp_path, capsys, kind, far, is_told):
     points = np.random.default_rng(0).uniform(-1, 1, (50, 3)) + [0, far, 0]
     lines = [f"property {'float' if kind == 'f4' else 'double'} {axis}" for axis in "xyz"]
     head = ["ply", "format binary_little_endian 1.0", "element vertex 50", *lines, "end_header", ""]
     file = tmp_path / f"{kind}.ply"
     file.write_bytes("\n".join(head).encode() + points.astype(f"<{kind}").tobytes())
-    reader(file)
+    read_points(file)
     assert capsys.readouterr().err.count("which there is a grid of 0.5; save them as doubles") == is_told

@@ -1,6 +1,5 @@
 import cv2
 import numpy as np
-import pycolmap
 import pytest
 from PIL import Image
 
@@ -109,17 +108,6 @@ def test_photos_of_another_size_rescale_their_camera_per_axis(colmap_scene, mode
         assert frame.pixels().image.shape == (frame.height, frame.width, 3)
 
 
-def test_distortion_of_a_rescaled_photo_is_that_of_the_full_one(colmap_scene):
-    root = colmap_scene(count=2, model="SIMPLE_RADIAL", params=(60.0, 42.0, 29.0, 0.1), size=(80, 60))
-    full = load_scene(root, downscale=2).frames[0]
-    for file in (root / "images").iterdir():
-        cv2.imwrite(str(file), cv2.resize(read(file), (40, 30), interpolation=cv2.INTER_AREA))
-    half = load_scene(root).frames[0]
-    # Border rows are cut in whole pixels: the principal point tells where the window lies.
-    np.testing.assert_allclose(half.K[[0, 1], [0, 1]], [30, 30], rtol=1e-6)
-    np.testing.assert_allclose(half.K[:2, 2], full.K[:2, 2], atol=1.01)
-
-
 def test_copies_of_reduced_size_are_taken_where_there_are_no_others(colmap_scene, capsys):
     root = colmap_scene(count=3)
     reduced(root, "images_4", (0.25, 0.25))
@@ -129,17 +117,6 @@ def test_copies_of_reduced_size_are_taken_where_there_are_no_others(colmap_scene
     load_scene(root)
     np.testing.assert_allclose(frame.K, [[7.5, 0, 5.25], [0, 31 * 8 / 30, 14.5 * 8 / 30], [0, 0, 1]], rtol=1e-6)
     assert capsys.readouterr().err == f"images: none where {root} says; {root / 'images_4'} is taken\n"
-
-
-def test_the_largest_copies_that_hold_the_photos_are_taken(colmap_scene, capsys):
-    root = colmap_scene(count=3)
-    reduced(root, "images_8", (0.125, 0.125))
-    for folder, size, names in (("images_2", (20, 15), ["000"]), ("images_4", (10, 8), ["000", "001", "002"])):
-        (root / folder).mkdir()
-        for name in names:
-            cv2.imwrite(str(root / folder / f"{name}.png"), np.zeros((*size[::-1], 3), np.uint8))
-    assert {(f.width, f.height) for f in load_scene(root).frames} == {(10, 8)}
-    assert "images_4 is taken" in capsys.readouterr().err
 
 
 def test_the_folder_asked_for_is_taken(colmap_scene, tmp_path, capsys):
@@ -220,14 +197,6 @@ def test_a_photo_is_decoded_once_to_see_that_it_is_whole_until_it_changes(colmap
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_photo_that_is_left_out_leaves_the_split_as_it_is(colmap_scene):
-    root = colmap_scene(count=12)
-    held_out = [frame.name for frame in load_scene(root).held_out_frames]
-    assert held_out == ["000.png", "008.png"]
-    (root / "images/002.png").unlink()
-    assert [frame.name for frame in load_scene(root).held_out_frames] == held_out
-
-
 @pytest.mark.parametrize("pattern", ["{}.png", "{}.png.png"])
 def test_folder_masks_as_validity_and_as_matte(colmap_scene, pattern):
     root = colmap_scene(count=3)
@@ -300,29 +269,6 @@ def test_distortion_removal_passes_masks_and_marks_what_it_must(colmap_scene):
     assert (row[first_valid:] == 255).all()
 
 
-def test_masks_of_the_full_size_serve_reduced_photos(colmap_scene):
-    root = colmap_scene(count=3)
-    reduced(root, "images_4", (0.25, 0.25))
-    write_masks(root, ["000.png"], half_mask())
-    valid = load_scene(root).frames[0].pixels().valid
-    assert valid.shape == (8, 10)
-    assert (valid[:, :2] == 0).all() and (valid[:, 3:] == 255).all()
-
-
-def test_mixed_sizes_are_kept(colmap_scene):
-    root = colmap_scene(count=4)
-    model = pycolmap.Reconstruction(root / "sparse/0")
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(camera_id=2, model="PINHOLE", width=16, height=24, params=[20.0, 20.0, 8.0, 12.0])
-    )
-    image = pycolmap.Image(name="zz.png", camera_id=2, image_id=50)
-    model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
-    model.write_binary(root / "sparse/0")
-    cv2.imwrite(str(root / "images/zz.png"), np.zeros((24, 16, 3), np.uint8))
-    sizes = [(f.width, f.height) for f in load_scene(root).frames]
-    assert sizes == [(40, 30)] * 4 + [(16, 24)]
-
-
 def test_missing_images_are_all_counted_and_five_named(colmap_scene):
     root = colmap_scene(count=12)
     for i in range(1, 9):
@@ -332,13 +278,6 @@ def test_missing_images_are_all_counted_and_five_named(colmap_scene):
     counted = "8 of 12 photos cannot be used, and 6 are needed"
     named = "001.png, 002.png, 003.png, 004.png, 005.png and 3 more"
     assert str(error.value) == f"{root / 'images/001.png'}: no such image; {counted}: {named}"
-
-
-def test_an_image_of_another_size_than_its_camera_is_named_with_both(colmap_scene, capsys):
-    root = colmap_scene()
-    cv2.imwrite(str(root / "images/005.png"), np.zeros((18, 20, 3), np.uint8))
-    assert "005.png" not in [frame.name for frame in load_scene(root).frames]
-    assert "005.png: image is 20x18 but its camera says 40x30; 1 of 10 photos is left out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.99])

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io import sfm
-from gsjax.io.images import image_size, read_image
+from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
 from gsjax.io.sfm import reconstruct
 
@@ -140,18 +140,6 @@ def test_photos_held_upright_and_across_share_a_camera_and_come_out_upright(shar
         assert np.abs(pixels[::-1, ::-1].astype(int) - expected).mean() > 30  # so that the test can fail
 
 
-def test_photos_of_two_sizes_and_one_of_something_else(shared, tmp_path):
-    photos = noise_photos(tmp_path / "photos", 1, size=(270, 480))
-    for number, source in enumerate(sorted((shared / "data/fox/images").iterdir())[:6]):
-        image = cv2.imread(str(source))
-        cv2.imwrite(str(photos / source.name), image if number % 2 else cv2.resize(image, (248, 440)))
-    report = reconstruct(photos, tmp_path / "scene", progress=quietly)
-    assert (report.images, report.registered) == (7, 6)
-    assert report.left_out == {"0.png": "no match with any other photo"}
-    assert len(pycolmap.Reconstruction(tmp_path / "scene/sparse/0").cameras) == 2
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["photos", "scene"]
-
-
 def test_a_video_becomes_a_data_set_of_its_sharpest_frames(shared, tmp_path):
     sharp = [cv2.imread(str(source)) for source in sorted((shared / "data/fox/images").iterdir())[:8]]
     frames = [frame for image in sharp for frame in (cv2.GaussianBlur(image, (0, 0), 3), image, image // 4)]
@@ -219,28 +207,3 @@ def test_a_folder_in_use_is_left_alone(tmp_path):
     with pytest.raises(InputError, match="cannot write"):
         reconstruct(photos, tmp_path / "scene/precious/below", progress=quietly)
     assert (tmp_path / "scene/precious").read_text() == "kept"
-
-
-def test_an_interrupt_leaves_nothing_behind(tmp_path):
-    photos = noise_photos(tmp_path / "photos", 3)
-
-    class Interrupted(tqdm):
-        def update(self, n=1):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        reconstruct(photos, tmp_path / "scene", progress=partial(Interrupted, disable=True))
-    assert [p.name for p in tmp_path.iterdir()] == ["photos"]
-
-
-def test_exif_rotation_is_ignored_by_the_reader_as_by_colmap(tmp_path):
-    exif = Image.Exif()
-    exif[0x0112] = 6  # to be turned by 90 degrees for display
-    left_half_white = np.zeros((20, 40, 3), np.uint8)
-    left_half_white[:, :20] = 255
-    Image.fromarray(left_half_white).save(tmp_path / "turned.jpg", exif=exif, quality=95)
-    ours, _ = read_image(tmp_path / "turned.jpg")
-    theirs = pycolmap.Bitmap.read(str(tmp_path / "turned.jpg"), True).to_array()
-    assert image_size(tmp_path / "turned.jpg") == (40, 20) and ours.shape == theirs.shape == (20, 40, 3)
-    assert np.abs(ours.astype(int) - theirs).max() <= 3
-    assert np.abs(ours.astype(int) - left_half_white).max() <= 12

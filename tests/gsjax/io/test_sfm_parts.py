@@ -1,7 +1,6 @@
 """The pieces of a reconstruction that need no COLMAP: how photos are turned, matches, pairs, masks."""
 
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
@@ -10,7 +9,6 @@ from PIL import Image, ImageOps
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.io import sfm
 from gsjax.io.scenes import load_scene
 from gsjax.io.sfm import dataset_writer, gps, initial_cameras, pairs, source_photos
 from gsjax.io.sfm import features as sift
@@ -132,14 +130,6 @@ def test_where_one_plane_fills_both_photos_twins_along_the_line_do_no_harm_eithe
     assert sorted(back[:, ::-1].tolist()) == found.tolist()
 
 
-def test_likeness_counts_what_photos_share():
-    rng = np.random.default_rng(0)
-    world = rng.integers(0, 200, (60, 128)).astype(np.uint8)
-    ranges = [(0, 30), (20, 50), (45, 60)]
-    photos = [Features(np.zeros((stop - start, 2)), world[start:stop]) for start, stop in ranges]
-    np.testing.assert_array_equal(pairs.likeness(photos, quietly), [[0, 10, 0], [10, 0, 5], [0, 5, 0]])
-
-
 def test_photos_are_paired_with_the_likest_and_with_the_next_by_name(monkeypatch):
     monkeypatch.setattr(pairs, "_PARTNERS", 2)
     monkeypatch.setattr(pairs, "_NEXT_BY_NAME", 1)
@@ -218,14 +208,6 @@ def test_photos_that_are_damaged_or_whose_mask_is_are_left_out_and_named(tmp_pat
     (tmp_path / "d.png").write_bytes(b"")
     with pytest.raises(InputError, match="3 of 4 photos cannot be used, and 2 are needed: b.jpg, c.jpg, d.png"):
         source_photos.usable_photos(tmp_path)
-
-
-def test_masks_of_other_names_are_refused(tmp_path):
-    for name in ("a.png", "b.png", "masks/1.png"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        photo(tmp_path / name)
-    with pytest.raises(InputError, match="masks: no mask in it has the name of a photo, for example a.png.png"):
-        source_photos.list_source_photos(tmp_path)
 
 
 @pytest.mark.parametrize("orientation", [1, 5, 6])
@@ -363,17 +345,6 @@ def test_a_matte_is_undistorted_with_its_photo(tmp_path):
     assert area == pytest.approx(np.pi * (radius * frame.K[0, 0]) ** 2, rel=0.01) and area > 1.05 * inside.sum()
     opaque = pixels.matte == 255
     assert opaque.sum() > 0.9 * area and np.abs(pixels.image[opaque].astype(int) - [250, 20, 30]).max() <= 1
-
-
-@pytest.mark.parametrize(("free", "told"), [(3 * 2**20, InputError), (3 * 2**30, RuntimeError)])
-def test_what_colmaps_database_says_of_a_full_disk_is_told_as_one(tmp_path, monkeypatch, free, told):
-    def fail(*arguments):
-        raise RuntimeError("[database_sqlite.cc:1350] SQLite error: database or disk is full")
-
-    monkeypatch.setattr(sfm, "_built", fail)
-    monkeypatch.setattr(sfm.shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
-    with pytest.raises(told, match="No space left on device" if told is InputError else "SQLite error"):
-        sfm._build(tmp_path, tmp_path / "work", None, quietly)
 
 
 def test_photos_are_paired_with_those_taken_next_to_them_whatever_their_names():

@@ -44,12 +44,6 @@ def test_the_sharpest_frame_of_every_stretch_is_taken(tmp_path):
     assert [(bar.n, bar.total) for bar in bars] == [(20, 20)]
 
 
-def test_a_short_video_gives_all_its_frames(tmp_path):
-    clip = write_video(tmp_path / "clip.avi", noise_frames(3, sharp=()))
-    video.write_sharpest_frames(clip, tmp_path / "frames", 100, quietly)
-    assert len(list((tmp_path / "frames").iterdir())) == 3
-
-
 def test_a_video_is_turned_as_it_says(tmp_path):
     clip = write_video(tmp_path / "clip.mp4", noise_frames(4, sharp=()), "mp4v")
     data = bytearray(clip.read_bytes())
@@ -105,9 +99,3 @@ def test_matroska_states_its_transfer_function_in_its_head(tmp_path, transfer, n
     head = b"\x1a\x45\xdf\xa3" + bytes(60) + b"\x55\xba\x81" + bytes([transfer]) + bytes(60)
     (tmp_path / "a.mkv").write_bytes(head)
     assert video.transfer_function(tmp_path / "a.mkv") == name
-
-
-@pytest.mark.parametrize("content", [b"", b"\0\0", b"\0\0\0\x04moov", b"\0\0\0\x01moov", b"\0\0\0\0moovcolrnclx\0"])
-def test_files_that_end_early_state_no_transfer_function(tmp_path, content):
-    (tmp_path / "a.mp4").write_bytes(content)
-    assert video.transfer_function(tmp_path / "a.mp4") is None

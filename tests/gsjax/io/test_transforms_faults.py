@@ -92,9 +92,3 @@ def test_poses_for_testing_whose_pictures_were_never_rendered_are_left_out(tmp_p
     scene = load_scene(root)
     assert [frame.name for frame in scene.held_out_frames] == [frame.name for frame in scene.frames][::8]
     assert "test/0.png: no such image; 20 of 20 photos for testing are left out: " in capsys.readouterr().err
-
-
-def test_a_file_that_is_not_json_is_named(tmp_path):
-    (tmp_path / "transforms.json").write_text('{"frames": [')
-    with pytest.raises(InputError, match=r"transforms.json: cannot be read as JSON"):
-        load_scene(tmp_path)

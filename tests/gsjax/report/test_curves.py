@@ -46,14 +46,3 @@ def test_ticks_are_round_increasing_and_hold_the_line(low, high):
     for (y, _), value in zip(drawn.y_ticks, values, strict=True):
         share = (value - values[0]) / (values[-1] - values[0])
         assert y == pytest.approx(BOTTOM - (BOTTOM - TOP) * share, abs=0.01), "what is written is where it stands"
-
-
-def test_ends_of_phases_are_marked_within_the_axis():
-    line = Curve("y", np.array([0, 100]), np.array([0.0, 1.0]))
-    drawn = chart("y", "steps", [line], [(25.0, "coarse"), (100.0, "last"), (0.0, "none")])
-    assert drawn.marks == [(LEFT + (RIGHT - LEFT) / 4, "coarse")]
-
-
-def test_less_than_two_points_are_no_line():
-    one, none = Curve("y", np.ones(1), np.ones(1)), Curve("y", np.ones(0), np.ones(0))
-    assert chart("y", "steps", [one, none]) is None

@@ -169,13 +169,6 @@ def test_nothing_of_a_name_becomes_markup_and_nothing_is_loaded(run):
     assert "http:" not in (text := (run / "report.html").read_text()) and "https:" not in text
 
 
-def test_bytes_of_a_name_that_are_no_text_are_shown_as_such(run):
-    settings = json_files.read(run / "config.json")
-    json_files.write(run / "config.json", config.merge(settings, {"supervision": {"normals": "k\udcfcche"}}))
-    assert r"k\udcfcche" in report(run).read_text(encoding="utf-8")
-    json_files.write(run / "config.json", settings)
-
-
 def test_the_lines_are_the_metrics(run):
     """Three charts against steps, then against seconds; the last score of the held-out views ends its line."""
     page = Page(report(run))
@@ -196,17 +189,6 @@ def test_a_mesh_is_drawn_from_the_views_that_are_shown(run):
     colors = np.asarray(picture(page.pictures[f"mesh colours, {NAMES[1]}"]), float)
     assert colors.shape == (SIZE[1], SIZE[0], 3)
     assert abs(colors[24, 32].mean() - 200) < 4 and colors[24, 0].mean() > 250, "the wall, and white beside it"
-
-
-def test_at_most_six_views_are_shown_evenly_spread():
-    held_out = [{"held_out": index % 2 == 0} for index in range(23)]
-    assert view_pictures.report_views(held_out) == [0, 4, 8, 14, 18, 22]
-    assert view_pictures.report_views([{"held_out": False}] * 3) == [0, 1, 2]
-
-
-def test_large_pictures_are_reduced():
-    assert view_pictures._reduced(*SIZE) == SIZE
-    assert view_pictures._reduced(4000, 3000) == (560, 420)
 
 
 def test_what_a_stage_measured_is_told(run):
@@ -272,12 +254,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, fault, 
         message = capsys.readouterr().err
         assert told in message and message.count("\n") == 1
     assert not list(tmp_path.rglob("*.html"))
-
-
-def test_a_last_line_that_a_kill_has_torn_is_left_out(run):
-    with open(run / "metrics.jsonl", "a") as file:
-        file.write('{"step": 200, "lo')
-    assert len(Page(report(run)).lines[0][1]) == 3
 
 
 def test_seeds_are_pooled_and_settings_that_differ_are_named(tmp_path):

@@ -47,13 +47,6 @@ def test_round_trip_keeps_every_bit_and_the_structure(tmp_path):
     assert jnp.array_equal(jax.random.split(loaded.key), jax.random.split(state.key))
 
 
-def test_shapes_alone_are_enough_to_load(tmp_path):
-    state = make_state()
-    checkpoints.save(tmp_path / "state.npz", state)
-    loaded = checkpoints.load(tmp_path / "state.npz", jax.eval_shape(lambda: jax.tree.map(jnp.asarray, state)))
-    assert raw_bytes(loaded) == raw_bytes(state)
-
-
 def test_arrays_are_named_by_their_path(tmp_path):
     checkpoints.save(tmp_path / "state.npz", make_state())
     arrays = checkpoints.load_arrays(tmp_path / "state.npz")
@@ -89,16 +82,6 @@ def test_a_truncated_file_is_one_line(tmp_path, kept):
     with pytest.raises(InputError, match=r"state\.npz: truncated or damaged checkpoint") as caught:
         checkpoints.load_arrays(path)
     assert "\n" not in str(caught.value)
-
-
-def test_a_flipped_bit_is_noticed(tmp_path):
-    path = tmp_path / "state.npz"
-    checkpoints.save(path, {"a": np.arange(1000, dtype=np.float32)})
-    damaged = bytearray(path.read_bytes())
-    damaged[len(damaged) // 2] ^= 1
-    path.write_bytes(damaged)
-    with pytest.raises(InputError, match="truncated or damaged"):
-        checkpoints.load_arrays(path)
 
 
 def test_absent_and_foreign_files(tmp_path):

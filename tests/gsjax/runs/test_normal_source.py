@@ -11,9 +11,8 @@ from tolerances import assert_close
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.io.normal_maps import normal_maps
-from gsjax.normals.consistency import Verdict
 from gsjax.runs import normal_source
-from gsjax.runs.normal_filter import filter_normals, with_names
+from gsjax.runs.normal_filter import filter_normals
 from gsjax.runs.normal_source import NormalSource, read_map, write_map
 from gsjax.scene import Pixels, frame_of
 
@@ -106,13 +105,6 @@ def test_a_killed_run_makes_what_is_missing_and_ends_with_the_same_bits(tilted, 
     np.testing.assert_array_equal(NormalSource(tmp_path / "run", None, None, FRAMES)(None, FRAMES), whole)
 
 
-def test_names_that_differ_by_their_suffix_alone_have_a_map_each(tilted, tmp_path):
-    frames = frames_named("a.jpg", "a.png")
-    maps = NormalSource(tmp_path, None, None, frames)(tilted, frames)
-    assert {p.name for p in tmp_path.rglob("*.png")} == {"a.jpg.png", "a.png.png"}
-    assert np.any(maps[0] != maps[1])
-
-
 @pytest.mark.parametrize("signs", [(1, -1, -1), (-1, 1, 1), (-1, -1, -1)])
 def test_foreign_maps_are_turned_to_our_axes(tilted, foreign, tmp_path, capsys, signs):
     maps = NormalSource(tmp_path / "run", foreign(NORMAL, signs), None, FRAMES)(tilted, FRAMES)
@@ -159,12 +151,6 @@ def test_axes_without_maps_or_that_are_none_are_refused_before_the_run_begins(fo
     with pytest.raises(InputError, match=r"--normal-axes up: expected three signs"):
         NormalSource(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "up", FRAMES)
     assert not (tmp_path / "run").exists()
-
-
-def test_a_stored_map_of_another_size_is_named(tmp_path):
-    write_map(tmp_path / "b.png", np.zeros((8, 8, 3)))
-    with pytest.raises(InputError, match=r"b.png: normal map is 8x8, its frame 40x32"):
-        read_map(tmp_path / "b.png", FRAMES[1])
 
 
 def test_the_gate_makes_short_what_photos_do_not_agree_about_and_judges_once(tilted, tmp_path):
@@ -238,11 +224,3 @@ def leave_verdict(apart, folder, gaussians, frames, maps, depth_mode, *, keep, n
     (folder / "gate.json").write_text(json.dumps({"photos": photos}))
     notify("they agree")
     return maps
-
-
-def test_a_verdict_names_the_first_of_the_photos_that_it_rejects():
-    photo = Pixels(np.zeros((2, 2, 3), np.uint8))
-    frames = [frame_of(f"{index}.jpg", np.eye(4), np.eye(3), photo) for index in range(9)]
-    verdict = Verdict(True, 0.5, 0.1, 0.1, 0.4, (0, 2, 3, 4, 5, 6, 8), "7 of 9 photos rejected")
-    assert with_names(verdict, frames).note == "7 of 9 photos rejected: 0.jpg, 2.jpg, 3.jpg, 4.jpg, 5.jpg and 2 more"
-    assert with_names(verdict._replace(rejected=(3,), note="1"), frames).note == "1: 3.jpg"

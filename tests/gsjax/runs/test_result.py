@@ -82,12 +82,6 @@ def test_depth_is_what_it_was_in_training(run):
         assert np.array_equal(expected, before_there_was_a_choice) == (mode == "center")
 
 
-def test_a_run_without_masks_or_from_before_there_were_any_is_valid_everywhere(run):
-    records = json_files.read(run / "cameras.json")
-    json_files.write(run / "cameras.json", [{k: v for k, v in r.items() if k != "mask"} for r in records])
-    assert [read() for read in open_result(run).valid] == [None] * 4
-
-
 def test_a_mask_that_cannot_be_used_is_one_line(run):
     write_image(run / "masks/0001.png", VALID[:, :12])
     result = open_result(run)

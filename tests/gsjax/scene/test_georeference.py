@@ -42,7 +42,7 @@ def test_points_and_cameras_move_together():
 def test_what_is_stretched_and_turned_later_adds_up():
     points = np.random.default_rng(0).normal(size=(20, 3))
     before = PLACE.points_to_world(points)
-    assert_close(PLACE.stretched(3.0, "a length").points_to_world(points), 3.0 * before)
+    assert_close(PLACE.rescale(3.0, "a length").points_to_world(points), 3.0 * before)
     other = Rotation.random(random_state=2).as_matrix()
     assert_close(PLACE.turned(other).points_to_world(points), before @ other.T)
 

@@ -11,12 +11,10 @@ import pytest
 from small_scenes import camera_at, cloud
 
 from gsjax import cli, pipeline
-from gsjax.gaussians import opacities
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from gsjax.io.spz import read_spz
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.pipeline.share import most_visible
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.meshes import Mesh
@@ -98,15 +96,6 @@ def test_the_viewer_is_javascript(run, tmp_path):
     subprocess.run([node, "--check", tmp_path / "viewer.js"], check=True)
 
 
-def test_those_that_cover_most_stay_in_their_order():
-    gaussians = cloud(30)
-    area = np.prod(np.sort(np.exp(gaussians.log_scales), axis=1)[:, 1:], axis=1) * np.asarray(opacities(gaussians))
-    kept = most_visible(gaussians, 7)
-    wanted = np.sort(np.argsort(area)[-7:])
-    np.testing.assert_array_equal(kept.means, np.asarray(gaussians.means)[wanted])
-    assert most_visible(gaussians, 30) is gaussians and most_visible(gaussians, None) is gaussians
-
-
 def test_a_far_run_is_shared_about_its_own_middle(run, tmp_path):
     """What saved paths and the mesh are brought by is in the page, in double precision."""
     similarity = {"scale": 0.25, "center": FAR.tolist()}
@@ -130,11 +119,3 @@ def test_what_cannot_be_shared_is_one_line(run, tmp_path, monkeypatch, capsys, o
     assert cli.main(["share", "run", *options]) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.glob("*.html"))
-
-
-def test_a_large_page_says_how_to_make_it_smaller(run, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("gsjax.cli.share.LARGE", 1_000_000)
-    assert cli.main(["share", str(run), "--out", str(tmp_path / "page.html"), "--max-gaussians", "9"]) == 0
-    told = capsys.readouterr()
-    assert "which many browsers and mail programs refuse; --max-gaussians N or --sh-degree 0" in told.err
-    assert "gaussians  9\n" in told.out

@@ -8,7 +8,6 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-import viser
 from small_scenes import camera_at, cloud
 
 from gsjax import cli
@@ -20,7 +19,6 @@ from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check
 from gsjax.viewer.page_camera import camera_of, page_camera, picture_size
 from gsjax.viewer.picture_queue import PictureQueue
 from gsjax.viewer.pictures import COLOR, DEPTH, NORMALS, draw_picture
-from gsjax.viewer.same_origin import is_local
 from gsjax.viewer.viewed_scene import ViewedScene
 
 SCENE = cloud(30)
@@ -157,21 +155,6 @@ def test_a_browser_that_leaves_while_it_is_drawn_for_disturbs_nobody(monkeypatch
         wait(lambda: len(clients["other"].received) == 2)
 
 
-def test_work_takes_no_more_than_its_share(monkeypatch):
-    """An answer of 0.05 seconds at a tenth: the next is at least half a second after the loop began."""
-    answered = []
-
-    def answer(request):
-        answered.append(time.monotonic())
-        time.sleep(0.05)
-
-    with served(monkeypatch, share=0.1) as (page, _):
-        monkeypatch.setattr(page, "_answer", answer)
-        page.queue.move("me", page_camera(AT))
-        wait(lambda: len(answered) == 2)
-    assert answered[1] - answered[0] >= 0.4
-
-
 def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -230,36 +213,3 @@ def test_no_page_but_its_own_reads_what_is_for_this_machine(monkeypatch):
         ]
         for lines in foreign:
             assert answer(page, *lines).startswith("HTTP/1.1 403 "), lines
-
-
-def test_whoever_connects_and_speaks_as_no_page_does_is_told_of_in_one_line_at_most(monkeypatch, caplog):
-    text = b"\x81\x82" + bytes(4) + b"hi"  # a masked frame; pages send bytes
-    with served(monkeypatch) as (page, _):
-        for said in (b"", b"\x16\x03\x01", b"GET / HTT"):
-            with socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=10) as connection:
-                connection.sendall(said)
-        page_alike = "Host: localhost", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"
-        said = answer(page, *page_alike, then=text, until=lambda: caplog.records)
-    assert said.startswith("HTTP/1.1 101 ")
-    (told,) = caplog.records
-    assert told.getMessage() == "view: a connection was closed after an error (AssertionError: )"
-    assert told.exc_info is None
-
-
-@pytest.mark.parametrize(
-    ("host", "local"),
-    [("127.0.0.1", True), ("::1", True), ("localhost", True), ("127.9.9.9", True), ("0.0.0.0", False), ("a.b", False)],
-)
-def test_what_is_local(host, local):
-    assert is_local(host) == local
-
-
-def test_the_server_is_there_for_this_machine_alone_and_then_gone(monkeypatch):
-    with served(monkeypatch) as (page, _):
-        port = page.server.get_port()
-        assert page.address == f"http://127.0.0.1:{port}"
-        with socket.create_connection(("127.0.0.1", port), timeout=10):
-            pass
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", port), timeout=10)
-    check_port("127.0.0.1", port)

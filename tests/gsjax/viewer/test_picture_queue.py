@@ -1,6 +1,5 @@
 """Who gets which picture when, by a clock that the test turns."""
 
-import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -99,12 +98,3 @@ def test_waking_ends_one_wait_and_closing_all_of_them(queue):
     queue.close()
     assert queue.is_closed
     assert queue.take() is None
-
-
-def test_who_waits_is_told_at_once():
-    queue, requests = PictureQueue(), []
-    worker = threading.Thread(target=lambda: requests.extend([queue.take(), queue.take()]))
-    worker.start()
-    queue.move("me", A)
-    worker.join(60)
-    assert requests == [Request("me", A, False), Request("me", A, True)]

@@ -2,12 +2,10 @@
 
 from types import SimpleNamespace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_scenes import cloud
 
-from gsjax.effects.simulation import EffectState
 from gsjax.gaussians import opacities
 from gsjax.viewer.scenery import browser_splats
 from gsjax.viewer.snapshots import Snapshots
@@ -43,16 +41,6 @@ def test_the_copy_outlives_the_buffers_that_the_next_step_takes(clock):
     for leaf in (scene.means, scene.quats, scene.log_scales, scene.logit_opacities, scene.sh_dc, scene.sh_rest):
         leaf.delete()
     np.testing.assert_array_equal(snapshots.news().gaussians.means, expected)
-
-
-def test_a_background_that_is_learned_goes_along_and_outlives_its_buffer(clock):
-    snapshots, scene, sky = Snapshots(10, every=0.0, clock=lambda: clock.now), cloud(30), jnp.full((4, 3), 0.25)
-    for numbers, expected in (({"exposure": None}, None), ({"background": sky}, np.full((4, 3), 0.25))):
-        snapshots.news()
-        snapshots.observe(progress(1, scene, EffectState(numbers, {})))
-        if "background" in numbers:
-            sky.delete()
-        np.testing.assert_array_equal(snapshots.news().background, expected)
 
 
 def test_there_are_seconds_between_two_copies(clock):

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
-from gsjax import cli
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
 from gsjax.io.compressed_ply import write_compressed_ply
 from gsjax.io.ply import write_gaussians
@@ -50,7 +48,7 @@ def placed(monkeypatch):
 
 def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(run):
     told = []
-    viewed = open_viewed_scene(run, tell=told.append)
+    viewed = open_viewed_scene(run, notify=told.append)
     assert told == [f"no photos: {run}/manifest.json: cannot be read (No such file or directory)"]
     assert list(viewed.cameras) == ["0.jpg", "1.jpg"] and not viewed.photos and viewed.mesh is None
     np.testing.assert_array_equal(viewed.background, [1, 1, 1])
@@ -102,22 +100,6 @@ def colors_of(glb):
     accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
     start = 28 + length + tree["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
     return np.frombuffer(glb, "<u2", 4 * accessor["count"], start).reshape(-1, 4) / 65535
-
-
-def test_cameras_in_all_directions_have_an_up_all_the_same(run):
-    records = json_files.read(run / "cameras.json")
-    turned = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(records[0]["viewmat"])  # Upside down.
-    json_files.write(run / "cameras.json", [records[0], {**records[0], "name": "b", "viewmat": turned}])
-    up = open_viewed_scene(run).up
-    np.testing.assert_allclose(up, -np.asarray(records[0]["viewmat"])[1, :3], atol=1e-6)
-
-
-def test_a_file_without_gaussians_is_one_line_and_exit_code_2(tmp_path, capsys):
-    fields = {name: value if name == "pixel_filter" else value[:0] for name, value in vars(cloud(1)).items()}
-    write_gaussians(tmp_path / "none.ply", Gaussians(**fields))
-    assert cli.main(["view", str(tmp_path / "none.ply"), "--port", "0"]) == 2
-    line = f"gsjax: error: {tmp_path / 'none.ply'}: holds no Gaussians, there is nothing to show\n"
-    assert capsys.readouterr().err == line
 
 
 def test_what_cannot_be_shown_is_one_line(tmp_path, run, placed):
