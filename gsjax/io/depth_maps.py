@@ -12,6 +12,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.arrays import headers, read_arrays
+from gsjax.io.bad_items import leave_out, read_usable
 from gsjax.io.depth_windows import Window, on_grid, window_of
 from gsjax.io.images import cv2, image_size
 from gsjax.io.normal_maps import map_places
@@ -52,8 +53,9 @@ def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tup
     """The depth maps of frames: `NAME.png` (16 bit) or `NAME.npy`, camera z, 0 or not finite where nothing is known.
 
     A map has its photo's name with the suffix in place of the photo's or after it. A folder `confidence` next to that
-    of the maps may hold 8-bit PNGs of the same names: 0 to 255, or ARKit's levels 0, 1 and 2. Only headers are read
-    now. What part of a map its photo shows, `gsjax.io.depth_windows.window_of` decides.
+    of the maps may hold 8-bit PNGs of the same names: 0 to 255, or ARKit's levels 0, 1 and 2. Each map is read
+    once now. What part of a map its photo shows, `gsjax.io.depth_windows.window_of` decides. Maps that cannot be used
+    are left out and named (`gsjax.io.bad_items`).
 
     Args:
         scene: Folder of the data set.
@@ -63,8 +65,8 @@ def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tup
         frames: Those that may have one.
 
     Raises:
-        InputError: There is no such folder, no map of any frame or no unit; or a map is of another view than its photo,
-            or of no depth. Reading one raises it where what follows the header is damaged.
+        InputError: There is no such folder, no map of any frame or no unit; or less than half of the maps are whole, of
+            depth, and of the view of their photo.
     """
     listed = {frame.name: frame.depth for frame in frames if frame.depth is not None}
     if given == AUTO and listed:
@@ -104,15 +106,22 @@ def _opened(
 ) -> DepthMaps:
     """The maps of these files, which are in `folder` or, where the data set lists them, anywhere."""
     intrinsics = _intrinsics(folder)
-    read, windows, notes = {}, {}, dict[str, None]()
-    for frame in frames:
-        if frame.name in files:
-            file = files[frame.name]
-            windows[frame.name], note = window_of(file, _size(file), frame, intrinsics)
-            read[frame.name] = partial(_read, file, _confidence(folder, file))
-            notes |= {note: None} if note else {}
-    more = f" (and {len(notes) - 1} other sizes)" if len(notes) > 1 else ""
-    return DepthMaps(folder, unit, metres, read, windows, f"{next(iter(notes), '')}{more}")
+
+    def usable(frame: Frame) -> tuple[Window, str, Callable[[], Readings]]:
+        file = files[frame.name]
+        read = partial(_read, file, _confidence(folder, file))
+        window, note = window_of(file, _size(file), frame, intrinsics)
+        read()  # What is damaged is found here, and not while training.
+        return window, note, read
+
+    measured = [frame for frame in frames if frame.name in files]
+    maps, faults = read_usable(measured, lambda frame: frame.name, lambda frame: (frame.name, usable(frame)))
+    leave_out("depth maps", faults, len(measured), needed=(len(measured) + 1) // 2)
+    told = list(dict.fromkeys(note for _, (_, note, _) in maps if note))
+    more = f" (and {len(told) - 1} other sizes)" if len(told) > 1 else ""
+    read = {name: read for name, (_, _, read) in maps}
+    windows = {name: window for name, (window, _, _) in maps}
+    return DepthMaps(folder, unit, metres, read, windows, f"{told[0]}{more}" if told else "")
 
 
 def _file(folder: Path, place: str, name: str) -> Path | None:

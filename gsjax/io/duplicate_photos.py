@@ -1,8 +1,8 @@
 """Groups of photos that show one shot: a HEIC and its JPEG, a resized or re-encoded file, a second file of one name.
 
-Two files show the same shot where small grey pictures of them are equal but for what encoders and resizing change. A
-frame of a video differs from the next one by more: each group is compared with its first photo only, so that a slow
-video does not become one group by small steps.
+Two files show the same shot where small grey pictures of them are equal but for what encoders, resizing and another
+colour space change. A frame of a video differs from the next one by more: each group is compared with its first photo
+only, so that a slow video does not become one group by small steps.
 """
 
 import os
@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.color_profiles import in_srgb
 from gsjax.io.exif import orientation_of
-from gsjax.io.images import Image, decoding, open_image
+from gsjax.io.images import Image, decoding, open_image, read_image
 from gsjax.io.machine import memory_for
 from gsjax.io.parallel_map import parallel_map
 
@@ -22,8 +23,9 @@ SIDE = 32  # pixels of the small picture
 MOST_LEVELS = 1.5  # RMS of 255; measured: JPEG at 50 or a third of the size 0.2 to 1.3, neighbouring views from 2
 MOST_SHARE = 0.1  # the same RMS as a share of the picture's own contrast: views of a bare wall differ by few levels
 _FLAT = 1.0  # levels of contrast: a picture with less shows nothing to compare
-_DRAFT = 256  # pixels: a JPEG is decoded at the smallest of its reduced sizes that has as many
+_DRAFT = 256  # pixels of the shorter side, at least, of a reduced picture
 _ALWAYS_ROOM, _DECODED = 10**7, 8  # pixels that need no check of the memory; bytes a pixel while one is decoded
+_REDUCIBLE = "RGB", "L", "CMYK"  # modes that Pillow averages as they are: no palettes, no alpha, no 16 bits
 
 
 def group_duplicates(files: Sequence[Path]) -> list[list[int]]:
@@ -65,14 +67,22 @@ def _small_picture(file: Path) -> np.ndarray | None:
 def _decoded(file: Path, _changed: int, _size: int) -> np.ndarray:
     """As `_small_picture`, once for each state of a file: commands load a data set several times."""
     with open_image(file) as picture:
-        picture.draft("L", (_DRAFT, _DRAFT))
-        pixels = picture.size[0] * picture.size[1]
-        needed = _DECODED * pixels * (pixels > _ALWAYS_ROOM)
-        with memory_for(f"{file}: a photo of {pixels} pixels", needed), decoding(file):
-            small = picture.convert("L").resize((SIDE, SIDE), Image.Resampling.LANCZOS)
+        picture.draft("RGB", (_DRAFT, _DRAFT))
+        reduced = _reduced(file, picture) if picture.mode in _REDUCIBLE else Image.fromarray(read_image(file)[0])
+        small = reduced.convert("L").resize((SIDE, SIDE), Image.Resampling.LANCZOS)
         upright = _upright(small, picture)
     levels = np.asarray(upright, np.float32).reshape(-1)
     return levels - levels.mean()
+
+
+def _reduced(file: Path, picture):
+    """In sRGB, with so few pixels that conversion is quick, and so many that their means hardly depend on the space."""
+    pixels = picture.size[0] * picture.size[1]
+    needed = _DECODED * pixels * (pixels > _ALWAYS_ROOM)
+    with memory_for(f"{file}: a photo of {pixels} pixels", needed), decoding(file):
+        reduced = picture.reduce(max(1, min(picture.size) // _DRAFT))
+    reduced.format = picture.format  # which Pillow drops, and which tells where code points are
+    return in_srgb(file, reduced)
 
 
 def _upright(small, picture):

@@ -8,6 +8,7 @@ import pytest
 from PIL import Image, ImageCms
 
 from gsjax.io.color_profiles import CodePoints, code_points
+from gsjax.io.duplicate_photos import group_duplicates
 from gsjax.io.images import read_image, read_mask
 
 D65 = (0.3127, 0.3290)
@@ -120,6 +121,21 @@ def test_alpha_and_palettes_and_sixteen_bits_are_converted_too(tmp_path):
     grey = np.linspace(0, 65535, 64).astype(np.uint16).reshape(8, 8)
     Image.fromarray(grey).save(tmp_path / "deep.tif", icc_profile=profile("prophoto", b"GRAY"))
     assert psnr(read_image(tmp_path / "deep.tif")[0][..., 0], srgb_of((grey / 65535) ** 1.8)) > 46
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_files_of_one_shot_in_two_color_spaces_show_the_same_shot(tmp_path, space):
+    for name, srgb in (("a", lively(64)), ("b", lively(64)[::-1])):
+        Image.fromarray(encoded(srgb, space)).save(tmp_path / f"{name}.jpg", quality=90, icc_profile=profile(space))
+        Image.fromarray(np.rint(255 * srgb).astype(np.uint8)).save(tmp_path / f"{name}.png")
+    assert group_duplicates(sorted(tmp_path.iterdir())) == [[0, 1], [2, 3]]
+
+
+def test_files_of_one_shot_with_16_bits_and_with_8_show_the_same_shot(tmp_path):
+    for name, grey in (("a", lively(64)[..., 0]), ("b", lively(64)[..., 2])):
+        Image.fromarray(np.rint(65535 * grey).astype(np.uint16)).save(tmp_path / f"{name}.png")
+        Image.fromarray(np.rint(255 * grey).astype(np.uint8)).save(tmp_path / f"{name}.tif")
+    assert group_duplicates(sorted(tmp_path.iterdir())) == [[0, 1], [2, 3]]
 
 
 def test_a_profile_of_srgb_changes_no_byte_and_masks_have_none(tmp_path, capsys):

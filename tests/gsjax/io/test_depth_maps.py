@@ -135,3 +135,12 @@ def test_what_cannot_serve_is_one_line(tmp_path, fault, message, capfd):
     with pytest.raises(InputError, match=message) as caught:
         opened(tmp_path, None if "unit" in fault else "mm").read["a.jpg"]()
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("fault", ["8 bits", "size", "confidence", "truncated"])
+def test_one_map_that_cannot_serve_is_left_out_and_named(tmp_path, fault, capfd):
+    write_png(tmp_path / "depth/b.png", RAMP)
+    faulty(tmp_path, fault)
+    assert list(opened(tmp_path).read) == ["b.jpg"]
+    told = capfd.readouterr().err
+    assert told.count("\n") == 1 and "; 1 of 2 depth maps is left out" in told
