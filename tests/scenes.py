@@ -6,6 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import rasterizer
 from rasterizer import GSPLAT, Front, TileGrid, default_tile_size, project
@@ -153,6 +154,15 @@ def render(scene, **options):
     )  # fmt: skip
 
 
+def binned(scene, side, *, backend="auto", capacity=4096, masks=None, **options):
+    """A scene's splats, the tiles of its cameras, and the splats' lists."""
+    s = scene
+    projection = project(s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, s.width, s.height, **options)
+    grid = TileGrid(s.viewmats.shape[0], s.width, s.height, side)
+    how = {"backend": backend}
+    return projection, grid, rasterizer.bin_splats(projection, s.opacities, grid, capacity, GSPLAT, masks, **how)
+
+
 def loss(scene, **options):
     """`(loss, (image, alphas, info))`: image and alphas summed with fixed random weights."""
     image, alphas, info = render(scene, **options)
@@ -193,8 +203,8 @@ def loss_in_front(scene, backend, capacity):
         image, left, _ = composite(projection, s.opacities[None], features, *size, GSPLAT, Front(2, 0.2))
         depth, covered = image[..., 1:], image[..., :1]
     else:
-        grid = TileGrid(1, *size, default_tile_size(backend))
-        pairs = rasterizer.bin_splats(projection, s.opacities, grid, capacity, GSPLAT, backend=backend)
+        side = default_tile_size(backend)
+        _, grid, pairs = binned(s, side, backend=backend, capacity=capacity, depth_mode="plane")
         features = jnp.concatenate([rasterizer.depth_channels(projection, *size), covers], -1)
         image, left, _ = rasterizer.blend(
             projection, s.opacities, features, pairs, grid, backend=backend, front=Front(4, 0.2)
@@ -211,6 +221,28 @@ def evaluate_in_front(scene, backend, capacity=2048):
     """As `evaluate`, of depth in front."""
     (_, shown), gradient = jax.value_and_grad(loss_in_front, has_aux=True)(scene, backend, capacity)
     return *shown, {}, gradient
+
+
+def textbook(scene):
+    """Float64 numpy: pixels `[N, 2]`, z `[N]`, and covariances `[N, 3, 3]` of (u, v, z) in a scene's first camera.
+
+    From the textbook's matrices, the camera linearised at each mean, or at most 15 % of the image outside of it.
+    """
+    viewmat, K = np.asarray(scene.viewmats[0], np.float64), np.asarray(scene.Ks[0], np.float64)
+    size, focal, middle = np.array([scene.width, scene.height]), np.diag(K)[:2], K[:2, 2]
+    rotations = Rotation.from_quat(np.asarray(scene.quats, np.float64)[:, [1, 2, 3, 0]]).as_matrix()
+    means2d, depths, covariances = [], [], []
+    for mean, axes, scales in zip(scene.means, rotations, scene.scales, strict=True):
+        point = viewmat[:3, :3] @ np.asarray(mean, np.float64) + viewmat[:3, 3]
+        margin = 0.15 * size / focal
+        slope = np.clip(point[:2] / point[2], -middle / focal - margin, (size - middle) / focal + margin)
+        J = np.zeros((3, 3))
+        J[[0, 1], [0, 1]], J[:2, 2], J[2, 2] = focal / point[2], -focal * slope / point[2], 1
+        M = J @ viewmat[:3, :3] @ axes @ np.diag(np.asarray(scales, np.float64))
+        means2d.append(focal * point[:2] / point[2] + middle)
+        depths.append(point[2])
+        covariances.append(M @ M.T)
+    return np.array(means2d), np.array(depths), np.array(covariances)
 
 
 def relative_errors(actual, expected):

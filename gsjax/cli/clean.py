@@ -9,8 +9,8 @@ ABOUT = About(
     summary="take giants and isolated clusters out of Gaussians, or what lies outside a box",
     description="""
         Giants fill the picture of the nearest camera; isolated Gaussians are in small clusters apart
-        from all others. Prints how many of each were taken out. They lie in FILE.removed.ply, from
-        where --undo brings them back, and FILE.cleaned.png shows before and after.
+        from all others. Prints how many of each were taken out. The file as it was is kept as
+        FILE.original.ply, which --undo brings back, and FILE.cleaned.png shows before and after.
     """,
     example="gsjax clean runs/garden --crop-to-cameras",
     packages=("matplotlib",),

@@ -1,5 +1,8 @@
-"""Removal of giants and isolated clusters from Gaussians; the removed Gaussians are kept, and can be restored."""
+"""Removal of giants and isolated clusters from Gaussians; a file that is cleaned in place can be restored."""
 
+import filecmp
+import os
+import shutil
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -9,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, concatenate, take
-from gsjax.io import json_files
+from gsjax.gaussians import Gaussians, take
+from gsjax.io.files import atomic_path
 from gsjax.io.gaussian_files import format_of, load_gaussians
 from gsjax.io.georeference_files import stated_place
 from gsjax.io.locks import lock_folder
@@ -25,9 +28,6 @@ from gsjax.scene.cameras import Camera, viewmat_centers
 from gsjax.scene.colors import to_bytes
 
 KINDS = "giants", "isolated", "cropped"
-IN_FILES = (*KINDS, "floaters", "crumbs")  # The last two: of files that 0.1 wrote.
-ROWS = {"count": int, **{f"{kind}?": [int] for kind in IN_FILES}}
-"""Of the file that lists the rows of the removed Gaussians."""
 MOST_VIEWS = 24  # that are drawn
 UNSEEN = -88.0  # A logit: the opacity is 0 in float32, and no other program is compiled.
 
@@ -55,22 +55,24 @@ def clean(
         sphere: `(x, y, z, radius)`: likewise.
 
     Returns:
-        `gaussians` that are left; how many were taken out: `giants`, `isolated`, `cropped`; `removed`, the
-        file that holds them (`OUT.removed.ply`), and `picture` (`OUT.cleaned.png`): before, after, and what was taken
-        out, from where that differs most. None where nothing was taken out or no camera is known.
+        `gaussians` that are left; how many were taken out: `giants`, `isolated`, `cropped`; `original`, the file as it
+        was (`FILE.original.ply`), None where another one was written; and `picture` (`OUT.cleaned.png`): before, after,
+        and what was taken out, from where that differs most. None where nothing was taken out or no camera is known.
 
     Raises:
         InputError: A file cannot be read or written, was cleaned before, is of a run that another process works on, or
             nothing would be left.
     """
     source = Path(source)
-    out = _file_of(source) if out is None else Path(out)
+    file = _file_of(source)
+    out = file if out is None else Path(out)
     format_of(out)
-    if out.resolve() != _file_of(source).resolve():
+    in_place = out.resolve() == file.resolve()
+    if not in_place:
         require_apart(out, source, scene)
     with _kept_alone(out):
-        if _beside(out).exists() and out.exists() and not _is_unfinished(out):
-            raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_beside(out)}")
+        if in_place and _original(out).exists() and not _is_unfinished(out):
+            raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_original(out)}")
         box = None if box is None else given_numbers("--box", box, 6).tolist()
         sphere = None if sphere is None else given_numbers("--sphere", sphere, 4).tolist()
         _check_numbers(box, sphere)
@@ -85,23 +87,22 @@ def clean(
         if taken.all():
             raise InputError(f"{source}: none of its {len(taken)} Gaussians would be left")
         report: dict[str, Any] = {"gaussians": int((~taken).sum()), **{kind: int(kinds[kind].sum()) for kind in KINDS}}
-        place = stated_place(_file_of(source))
+        place = stated_place(file)
         picture = _picture(result, taken, out) if result is not None and taken.any() else None
-        if taken.any():
-            # What is taken out is on the disk before it is gone elsewhere, see `_is_unfinished`.
-            _beside(out).unlink(missing_ok=True)
-            rows = {kind: np.flatnonzero(kinds[kind]) for kind in KINDS}
-            json_files.write(_rows_beside(out), {"about": "rows of the Gaussians before", "count": len(taken), **rows})
-            format_of(_beside(out)).write(_beside(out), take(whole, taken), place)
-        format_of(out).write(out, take(whole, ~taken), place)  # Last: from now on it is cleaned.
-        return report | {"removed": str(_beside(out)) if taken.any() else None, "picture": picture}
+        if in_place and taken.any():
+            with atomic_path(_original(out)) as copy:
+                shutil.copyfile(out, copy)
+        if not in_place or taken.any():
+            format_of(out).write(out, take(whole, ~taken), place)  # Last: from now on it is cleaned.
+        original = str(_original(out)) if in_place and taken.any() else None
+        return report | {"original": original, "picture": picture}
 
 
 def undo(source: str | Path) -> dict[str, Any]:
-    """Bring back what `clean` has taken out, each Gaussian to its row.
+    """Bring back what `clean` has taken out of a file in place.
 
     Args:
-        source: The file that it wrote, or the run folder.
+        source: The file, or the run folder.
 
     Returns:
         `gaussians`, and how many of them came `back`.
@@ -111,20 +112,13 @@ def undo(source: str | Path) -> dict[str, Any]:
     """
     file = _file_of(Path(source))
     with _kept_alone(file):
-        if not _beside(file).exists():
-            raise InputError(f"{file}: nothing was taken out of it; there is no {_beside(file)}")
-        if _is_unfinished(file):
-            return {"gaussians": _forget(file), "back": 0}
-        before, rows = _told(file)
-        left, removed = load_gaussians(file), load_gaussians(_beside(file))
-        count = left.num_gaussians + removed.num_gaussians
-        if count != before or len(np.unique(rows)) != removed.num_gaussians or rows[-1] >= count or rows[0] < 0:
-            raise InputError(f"{file}: is not the file any more that {_beside(file)} was taken out of")
-        order = np.empty(count, int)
-        order[rows] = left.num_gaussians + np.arange(len(rows))
-        order[np.setdiff1d(np.arange(count), rows)] = np.arange(left.num_gaussians)
-        format_of(file).write(file, take(concatenate([left, removed]), order), stated_place(file))
-        return {"gaussians": _forget(file), "back": len(rows)}
+        if not _original(file).exists():
+            raise InputError(f"{file}: nothing was taken out of it; there is no {_original(file)}")
+        left, count = (load_gaussians(each).num_gaussians for each in (file, _original(file)))
+        if left >= count and not _is_unfinished(file):
+            raise InputError(f"{file}: is not the file any more that {_original(file)} became")
+        os.replace(_original(file), file)
+        return {"gaussians": count, "back": count - left}
 
 
 def _file_of(source: Path) -> Path:
@@ -138,34 +132,14 @@ def _kept_alone(file: Path) -> AbstractContextManager[None]:
     return lock_folder(file.parent) if is_run(file.parent) else nullcontext()
 
 
-def _beside(file: Path) -> Path:
-    return Path(f"{file}.removed.ply")
+def _original(file: Path) -> Path:
+    """Return where the file as it was is kept."""
+    return Path(f"{file}.original{file.suffix}")
 
 
-def _rows_beside(file: Path) -> Path:
-    return Path(f"{file}.removed.json")
-
-
-def _is_unfinished(out: Path) -> bool:
-    """Whether a cleaning of `out` was stopped before anything had left it, or its undoing after all had come back."""
-    here, removed, (count, rows) = load_gaussians(out), load_gaussians(_beside(out)), _told(out)
-    if here.num_gaussians != count or removed.num_gaussians != len(rows) or rows.max(initial=0) >= count:
-        return False
-    return np.array_equal(np.asarray(here.means)[rows], np.asarray(removed.means))
-
-
-def _told(file: Path) -> tuple[int, np.ndarray]:
-    """How many Gaussians a file had before it was cleaned, and the rows of those that were taken out, in order."""
-    told = json_files.read(_rows_beside(file), ROWS)
-    return told["count"], np.sort(np.concatenate([np.array(told.get(kind, []), int) for kind in IN_FILES]))
-
-
-def _forget(file: Path) -> int:
-    """Takes away what tells of a cleaning, once all Gaussians are in the file; how many these are."""
-    count, _ = _told(file)
-    for gone in (_beside(file), _rows_beside(file)):
-        gone.unlink()
-    return count
+def _is_unfinished(file: Path) -> bool:
+    """Return whether a cleaning was stopped before the file changed."""
+    return filecmp.cmp(file, _original(file), shallow=False)
 
 
 def _check_numbers(box: Sequence[float] | None, sphere: Sequence[float] | None) -> None:

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import GAUSSIAN_FIELDS, cloud, evaluate, relative_errors, render, single, stacks
+from scenes import GAUSSIAN_FIELDS, binned, cloud, evaluate, relative_errors, render, single, stacks
 from tolerances import assert_close
 
-from rasterizer import GSPLAT, INRIA, Front, TileGrid, _reference, bin_splats, blend, project, spherical_harmonics
+from rasterizer import GSPLAT, INRIA, Front, _reference, blend, spherical_harmonics
 
 pytestmark = pytest.mark.device
 
@@ -118,38 +118,12 @@ def test_inria_rules_pass_the_gradient_straight_through_the_clamp(backend):
     assert abs(straight.opacities[0] - blocked.opacities[0]) > 0.01 * abs(blocked.opacities[0])
 
 
-@pytest.mark.parametrize(
-    "derivative",
-    [
-        lambda image, colors: jax.jvp(image, (colors,), (colors,)),
-        lambda image, colors: jax.jvp(jax.jit(image), (colors,), (colors,)),
-        lambda image, colors: jax.linearize(image, colors)[1](colors),
-        lambda image, colors: jax.jacfwd(image)(colors),
-        lambda image, colors: jax.hessian(lambda c: image(c).sum())(colors),
-        lambda image, colors: jax.grad(lambda c: jax.grad(lambda c: (image(c) ** 2).sum())(c).sum())(colors),
-    ],
-    ids=["jvp", "jvp of jit", "linearize", "jacfwd", "hessian", "grad of grad"],
-)
-def test_the_tiles_name_the_backend_that_has_other_derivatives(derivative):
-    scene = cloud()
-    with pytest.raises(TypeError, match="need backend='reference'"):
-        derivative(lambda c: render(replace(scene, colors=c), capacity=2048)[0], scene.colors)
-
-
-def listed(scene, side=16):
-    """Splats of a scene and their lists."""
-    shape = scene.means, scene.quats, scene.scales, scene.opacities
-    projection = project(*shape, scene.viewmats, scene.Ks, scene.width, scene.height)
-    grid = TileGrid(1, scene.width, scene.height, side)
-    return projection, grid, bin_splats(projection, scene.opacities, grid, 2048, GSPLAT)
-
-
 @pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.long), "pallas"])
 @pytest.mark.parametrize("channels", [pytest.param(5, marks=pytest.mark.long), 17])
 def test_channels_in_front_are_those_of_the_reference(backend, channels):
     """And so are the others, the light left and the median; 17 take more than one pass."""
     scene, front = stacks(), Front(2, 0.2)
-    projection, grid, pairs = listed(scene)
+    projection, grid, pairs = binned(scene, 16)
     rng = np.random.default_rng(3)
     features = jnp.asarray(rng.normal(size=(1, len(scene.means), channels)), jnp.float32)
     weights = jnp.asarray(rng.normal(size=(1, scene.height, scene.width, channels)), jnp.float32)
@@ -190,7 +164,7 @@ def layers(count, opacity):
 def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
     """Of four layers of alpha 0.6, each leaves 0.4 of the light: what each layer adds to its own channel."""
     scene = layers(4, opacity=0.6)
-    projection, grid, pairs = listed(scene)
+    projection, grid, pairs = binned(scene, 16)
     front, each = Front(4, stop_after), jnp.eye(4)[None]
     if backend == "reference":
         image, *_ = _reference.composite(
@@ -217,7 +191,7 @@ def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
 def test_hard_cases_in_front(backend, count, opacity, slope):
     """The share of light is known, and finite slopes with it: of all opacities together, per one of them."""
     scene, front = layers(count, opacity), Front(1, 0.2)
-    projection, grid, pairs = listed(scene)
+    projection, grid, pairs = binned(scene, 16)
     ones = jnp.ones((1, count, 1))
 
     def covered(opacities):

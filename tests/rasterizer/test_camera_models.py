@@ -179,18 +179,3 @@ def test_a_parallel_projection_does_not_shrink_with_distance_and_sees_along_z():
     shape = tilted.means, tilted.quats, tilted.scales, tilted.viewmats, visible
     facing, turned = (rasterizer.camera_normals(*shape, model)[0, 0] for model in ("ortho", "pinhole"))
     assert facing[2] < 0 < turned[2]
-
-
-def test_what_no_lens_has_is_refused_in_one_line():
-    scene = cloud()
-    for options, message in (
-        ({"camera_model": "ftheta"}, "camera_model='ftheta' is not one of"),
-        ({"radial_coeffs": np.zeros((1, 4), np.float32)}, "radial_coeffs need camera_model='fisheye', not 'pinhole'"),
-        ({"camera_model": "fisheye", "radial_coeffs": np.zeros((1, 6), np.float32)}, r"expected \(1, 4\)"),
-        ({"camera_model": "ortho", "near_plane": -1.0}, "near_plane=-1.0, expected at least 0"),
-    ):
-        with pytest.raises(ValueError, match=message) as caught:
-            render(scene, capacity=2048, **options)
-        assert "\n" not in str(caught.value)
-    with pytest.raises(ValueError, match="camera_model='lidar' is not one of"):
-        rasterizer.proj(jnp.ones((1, 3, 3)), jnp.ones((1, 3, 3, 3)), scene.Ks, *SIZE, "lidar")

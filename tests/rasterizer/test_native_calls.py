@@ -14,7 +14,6 @@ import pytest
 from scenes import cloud, evaluate, loss, render, stacks
 from tolerances import assert_close
 
-import rasterizer
 from rasterizer import engines
 from rasterizer._native.calls import API_MAJOR, API_MINOR
 
@@ -185,14 +184,6 @@ def test_more_channels_than_one_pass_has_are_listed_in_every_pass():
     np.testing.assert_array_equal(compiled(scene), render(scene, backend="native", capacity=ENOUGH)[0])
 
 
-def test_a_compiled_batch_is_its_scenes():
-    scenes = [cloud(), replace(cloud(), scales=0.2 * cloud().scales)]
-    batch = jax.tree.map(lambda *x: jnp.stack(x), *scenes)
-    images = jax.jit(jax.vmap(lambda s: render(s, backend="native")[0]))(batch)
-    for image, scene in zip(images, scenes, strict=True):
-        np.testing.assert_allclose(image, render(scene, backend="native", capacity=ENOUGH)[0], rtol=1e-5, atol=1e-6)
-
-
 @pytest.mark.parametrize("count", [0, 1])
 def test_nothing_and_one_splat_are_listed(count):
     scene = jax.tree.map(lambda x: x, cloud())
@@ -201,18 +192,3 @@ def test_nothing_and_one_splat_are_listed(count):
     )
     compiled = jax.jit(lambda s: render(s, backend="native")[:2])(few)
     jax.tree.map(np.testing.assert_array_equal, compiled, render(few, backend="native", capacity=ENOUGH)[:2])
-
-
-def test_gradients_of_absolutes_still_need_a_capacity():
-    with pytest.raises(ValueError, match="inside jit .* pass capacity="):
-        jax.jit(lambda s: render(s, backend="native", absgrad=jnp.zeros((1, 40, 2)))[0])(cloud())
-
-
-def test_blend_names_a_backend_that_needs_lists():
-    scene = cloud()
-    projection = rasterizer.project(
-        scene.means, scene.quats, scene.scales, scene.opacities, scene.viewmats, scene.Ks, scene.width, scene.height
-    )
-    grid = rasterizer.TileGrid(1, scene.width, scene.height, 8)
-    with pytest.raises(ValueError, match="pairs=None: backend='xla' needs the lists of bin_splats"):
-        rasterizer.blend(projection, scene.opacities, scene.colors[None], None, grid, backend="xla")

@@ -273,22 +273,6 @@ def test_many_channels_are_those_rendered_alone(channels):
         assert error < 1e-4, (field, error)
 
 
-@pytest.mark.parametrize(
-    "changes, options, message",
-    [
-        ({}, {"rasterize_mode": "mip"}, "rasterize_mode='mip' is not one of"),
-        ({"quats": None}, {}, "a Gaussian's shape is missing: pass quats and scales, or covars"),
-        ({}, {"covars": jnp.ones((40, 6))}, r"covars.shape=\(40, 6\), expected \(40, 3, 3\)"),
-        ({}, {"covars": jnp.ones((40, 3, 3)), "return_normals": True}, "return_normals needs quats and scales"),
-        ({}, {"masks": jnp.ones((2, 1, 1), bool)}, r"masks.shape=\(2, 1, 1\), expected \(2, 4, 5\), one per tile"),
-        ({}, {"masks": jnp.ones((2, 4, 5))}, "masks.dtype=.*float32.*, expected bool"),
-    ],
-)
-def test_what_does_not_fit_is_refused_with_its_value(changes, options, message):
-    with pytest.raises(ValueError, match=message):
-        render(replace(SCENE, **changes), capacity=2048, **options)
-
-
 def test_inria_rules_see_three_sigma_whatever_the_opacity():
     faint = replace(SCENE, opacities=jnp.full(40, 0.02))
     extents = {rules: render(faint, rules=rules, capacity=8192)[2]["extents"] for rules in (GSPLAT, INRIA)}

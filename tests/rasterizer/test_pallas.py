@@ -1,6 +1,5 @@
 """The GPU kernels without a GPU: interpreted against their twins, and lowered for CUDA."""
 
-from dataclasses import replace
 from functools import partial
 
 import jax
@@ -9,23 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxprs import equations
-from scenes import cloud, evaluate, stacks
+from scenes import binned, cloud, evaluate, stacks
 from tolerances import assert_close
 
-from rasterizer import GSPLAT, Front, TileGrid, _mosaic, _pallas, _reference, _xla, bin_splats, devices, project
+from rasterizer import GSPLAT, Front, TileGrid, _mosaic, _pallas, _reference, _xla, devices
 from rasterizer.compositing import Static, composite
-
-
-@pytest.mark.long
-def test_two_runs_give_the_same_bits_and_a_batch_is_its_cameras():
-    scene = cloud(cameras=2)
-    cameras = {name: getattr(scene, name)[:, None] for name in ("viewmats", "Ks", "backgrounds")}
-    both = jax.vmap(lambda camera: evaluate(replace(scene, **camera), "pallas")[:2])(cameras)
-    for i in range(2):
-        alone = replace(scene, **{name: values[i] for name, values in cameras.items()})
-        first, second = evaluate(alone, "pallas"), evaluate(alone, "pallas")
-        jax.tree.map(np.testing.assert_array_equal, first, second)
-        assert_close((both[0][i], both[1][i]), first[:2])
 
 
 @pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.long), "pallas"])
@@ -65,13 +52,9 @@ def test_with_sorted_sums_the_backward_pass_adds_by_no_scatter(passes):
 def passes():
     """(what the interpreted engine's backward pass reads of a scene, and that pass)."""
     scene = stacks()
-    shape = scene.means, scene.quats, scene.scales, scene.opacities
-    projection = project(*shape, scene.viewmats, scene.Ks, scene.width, scene.height)
-    grid, engine = TileGrid(1, scene.width, scene.height, 16), _pallas.engine(interpret=True)
-    static, pairs = (
-        Static(grid, GSPLAT, engine),
-        bin_splats(projection, scene.opacities, grid, 512, GSPLAT, backend="xla"),
-    )
+    projection, grid, pairs = binned(scene, 16, backend="xla", capacity=512)
+    engine = _pallas.engine(interpret=True)
+    static = Static(grid, GSPLAT, engine)
     splats = projection.means2d[0], projection.conics[0], scene.opacities[:, None], scene.colors
     lists = jnp.concatenate(splats, -1), (pairs.splats, pairs.offsets)
     blended = engine.forward(static, *lists)
@@ -105,10 +88,7 @@ def test_a_slot_without_a_gradient_is_scattered_past_the_rows(passes):
 def test_lists_cut_in_segments_equal_the_reference(front):
     """Lists of up to 40 splats in segments of 16: values and gradients pass their borders."""
     scene = stacks()
-    shape = scene.means, scene.quats, scene.scales, scene.opacities
-    projection = project(*shape, scene.viewmats, scene.Ks, scene.width, scene.height)
-    grid = TileGrid(1, scene.width, scene.height, 16)
-    pairs = bin_splats(projection, scene.opacities, grid, 512, GSPLAT, backend="xla")
+    projection, grid, pairs = binned(scene, 16, backend="xla", capacity=512)
     assert np.diff(pairs.offsets).max() > 32
     rng = np.random.default_rng(3)
     features = jnp.asarray(rng.normal(size=(len(scene.means), 4)), jnp.float32)
@@ -182,23 +162,10 @@ def test_both_kernels_lower_for_cuda(tile_size, channels):
 
 
 def test_both_sorts_are_pairs_with_a_short_key_on_a_gpu():
-    scene = cloud()
-
-    def program(s):
-        arrays = s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks
-        projection = project(*arrays, s.width, s.height)
-        grid = TileGrid(1, s.width, s.height, 16)
-        return bin_splats(projection, s.opacities, grid, 512, GSPLAT, backend="xla")
-
-    text = lowered_for_cuda(program, scene)
+    text = lowered_for_cuda(lambda scene: binned(scene, 16, backend="xla", capacity=512)[2], cloud())
     # XLA hands sorts of these two shapes to CUB.
     assert text.count('"stablehlo.sort"') == 2
     assert "(tensor<512xui16>, tensor<512xi32>)" in text and "(tensor<40xui32>, tensor<40xi32>)" in text
-
-
-def test_a_tile_that_is_no_power_of_two_is_refused_by_the_kernels_alone():
-    with pytest.raises(ValueError, match="tile_size=12 is not a power of two"):
-        evaluate(cloud(), "pallas", tile_size=12)
 
 
 needs_mosaic = pytest.mark.skipif(not devices.has_mosaic(), reason="jax 0.12 or later has what is tested")
@@ -208,10 +175,7 @@ needs_mosaic = pytest.mark.skipif(not devices.has_mosaic(), reason="jax 0.12 or 
 def tile():
     """A tile of 24 splats, and a program of its values and gradients by an engine."""
     scene = stacks(count=24, size=(16, 16))
-    shape = scene.means, scene.quats, scene.scales, scene.opacities
-    projection = project(*shape, scene.viewmats, scene.Ks, 16, 16)
-    grid = TileGrid(1, 16, 16, 16)
-    pairs = bin_splats(projection, scene.opacities, grid, 64, GSPLAT, backend="xla")
+    projection, grid, pairs = binned(scene, 16, backend="xla", capacity=64)
 
     def loss(engine, front, *splats):
         static = Static(grid, GSPLAT, engine, True, front)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import cloud, intrinsics, make, render
+from scenes import cloud, intrinsics, make, render, textbook
 from scipy.spatial.transform import Rotation
 from tolerances import assert_close
 
@@ -27,28 +27,9 @@ def splats():
     return jax.jit(run, static_argnames=("eps2d", "near_plane", "rasterize_mode"))
 
 
-def joint_covariances(scene):
-    """`[N, 3, 3]` of (u, v, z) under the camera linearised at each mean, from the textbook's matrices, and `[N]` z."""
-    viewmat, K = np.asarray(scene.viewmats[0], np.float64), np.asarray(scene.Ks[0], np.float64)
-    size = np.array([scene.width, scene.height])
-    focal, middle = np.diag(K)[:2], K[:2, 2]
-    rotations = Rotation.from_quat(np.asarray(scene.quats, np.float64)[:, [1, 2, 3, 0]]).as_matrix()
-    found, depths = [], []
-    for mean, axes, scales in zip(scene.means, rotations, scene.scales, strict=True):
-        point = viewmat[:3, :3] @ np.asarray(mean, np.float64) + viewmat[:3, 3]
-        margin = 0.15 * size / focal
-        slope = np.clip(point[:2] / point[2], -middle / focal - margin, (size - middle) / focal + margin)
-        J = np.zeros((3, 3))
-        J[[0, 1], [0, 1]], J[:2, 2], J[2, 2] = focal / point[2], -focal * slope / point[2], 1
-        M = J @ viewmat[:3, :3] @ axes @ np.diag(np.asarray(scales, np.float64))
-        found.append(M @ M.T)
-        depths.append(point[2])
-    return np.array(found), np.array(depths)
-
-
 def conditional_slopes(scene, eps2d=0.3, near_plane=0.01):
     """`[N, 2]` of E[z | u, v], made flatter where 3.33 standard deviations reach the near plane."""
-    joint, depths = joint_covariances(scene)
+    _, depths, joint = textbook(scene)
     slopes = np.array([np.linalg.solve(S[:2, :2] + eps2d * np.eye(2), S[:2, 2]) for S in joint])
     reach = SIGMAS * np.sqrt(np.sum(slopes * joint[:, :2, 2], -1))
     return slopes * np.minimum(1, (depths - near_plane) / np.maximum(reach, 1e-300))[:, None]
@@ -82,7 +63,7 @@ def test_no_splat_shows_a_depth_behind_the_near_plane_nor_far_from_its_centres(s
     scene = replace(scene, scales=4 * scene.scales, means=scene.means * jnp.array([[1.5, 1.5, 0.4]]))
     near = 0.2
     p = splats(scene, near_plane=near)
-    joint, _ = joint_covariances(scene)
+    _, _, joint = textbook(scene)
     y, x = np.mgrid[: scene.height, : scene.width] + 0.5
     flattened = 0
     for n in np.flatnonzero(p.visible[0]):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import GAUSSIAN_FIELDS, cloud, evaluate, relative_errors
@@ -122,22 +123,19 @@ def test_moving_world_and_camera_together_changes_nothing(seed):
     assert np.linalg.norm(turned_back - gradient.means) < 1e-2 * np.linalg.norm(gradient.means)
 
 
-def test_two_runs_give_the_same_bits():
-    scene = cloud()
-    first, second = evaluate(scene, "xla"), evaluate(scene, "xla")
-    jax.tree.map(np.testing.assert_array_equal, first, second)
-
-
-def test_a_batch_of_cameras_is_its_cameras_and_so_are_its_gradients():
+@pytest.mark.parametrize("backend", ["native", "xla", pytest.param("pallas", marks=pytest.mark.long)])
+def test_two_runs_give_the_same_bits_and_a_batch_of_cameras_is_its_cameras_with_their_gradients(backend):
     scene = cloud(cameras=2)
     cameras = {name: getattr(scene, name)[:, None] for name in ("viewmats", "Ks", "backgrounds")}
 
     def with_camera(camera):
-        return evaluate(replace(scene, **camera), "xla")
+        return evaluate(replace(scene, **camera), backend)
 
     image, alphas, _, gradient = jax.vmap(with_camera)(cameras)
     for i in range(2):
-        expected_image, expected_alphas, _, expected_gradient = with_camera({k: v[i] for k, v in cameras.items()})
+        alone = {k: v[i] for k, v in cameras.items()}
+        expected_image, expected_alphas, _, expected_gradient = expected = with_camera(alone)
+        jax.tree.map(np.testing.assert_array_equal, with_camera(alone), expected)
         assert_close(image[i], expected_image)
         assert_close(alphas[i], expected_alphas)
         assert_gradients_close(jax.tree.map(lambda x, i=i: x[i], gradient), expected_gradient)
