@@ -3,7 +3,7 @@ import sys
 
 import numpy as np
 import pytest
-import trimesh
+from meshes import ball
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -20,10 +20,10 @@ SIZE = 256
 @pytest.fixture(scope="module")
 def mesh() -> Mesh:
     """A bumpy ball of 1,280 triangles."""
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    bumps = 1 + 0.15 * np.sin(5 * ball.vertices).sum(axis=1, keepdims=True)
-    colors = np.random.default_rng(0).integers(0, 256, (len(ball.vertices), 3), dtype=np.uint8)
-    return Mesh((ball.vertices * bumps).astype(np.float32), ball.faces.astype(np.int32), colors)
+    sphere = ball(3)
+    bumps = 1 + 0.15 * np.sin(5 * sphere.vertices).sum(axis=1, keepdims=True)
+    colors = np.random.default_rng(0).integers(0, 256, sphere.vertices.shape, dtype=np.uint8)
+    return Mesh(sphere.vertices * bumps, sphere.faces, colors)
 
 
 @pytest.fixture(scope="module", params=[charts, cells], ids=["charts", "cells"])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import trimesh
+from meshes import ball, mesh_of
 
 from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.connectivity import edge_table, topology
@@ -12,10 +12,7 @@ from gsjax.scene.meshes import Mesh, signed_volume
 
 @pytest.fixture(scope="module")
 def ball_mesh() -> Mesh:
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    return Mesh(
-        ball.vertices.astype(np.float32), ball.faces.astype(np.int32), np.zeros((len(ball.vertices), 3), np.uint8)
-    )
+    return ball(2)
 
 
 def areas(mesh: Mesh) -> np.ndarray:
@@ -70,7 +67,6 @@ def test_an_open_border_keeps_its_length_and_colours_are_means():
 
 @pytest.mark.parametrize("weights", [np.zeros(2), np.array([3.0, 1.0])], ids=["nothing to show", "enough already"])
 def test_what_needs_no_halving_stays(weights):
-    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
-    square = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.zeros((4, 3), np.uint8))
+    square = mesh_of([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
     same = bisect_triangles(square, weights, 100 if not weights.any() else 2)
     np.testing.assert_array_equal(same.faces, square.faces)

@@ -1,9 +1,8 @@
-import subprocess
-import sys
 from dataclasses import asdict
 
 import numpy as np
 import pytest
+from meshes import mesh_of, square, tetrahedron
 
 from gsjax.errors import InputError
 from gsjax.meshing.cleaning import clean, concatenate_meshes
@@ -11,25 +10,9 @@ from gsjax.meshing.connectivity import edge_table, face_components, topology
 from gsjax.scene.meshes import Mesh, signed_volume
 
 
-def mesh_of(vertices, faces):
-    vertices = np.asarray(vertices, np.float32)
-    return Mesh(vertices, np.asarray(faces, np.int32), np.full((len(vertices), 3), 90, np.uint8))
-
-
-def tetrahedron(offset=(0.0, 0.0, 0.0)):
-    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) + offset
-    return mesh_of(vertices, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-
-
 def wavy_square(count):
-    x, y = np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count))
-    vertices = np.stack([x.ravel(), y.ravel(), 0.02 * np.sin(9 * x.ravel())], axis=-1)
-    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
-    faces = np.r_[
-        np.stack([corner, corner + 1, corner + count], -1),
-        np.stack([corner + 1, corner + count + 1, corner + count], -1),
-    ]
-    return mesh_of(vertices, faces)
+    line = np.linspace(0, 1, count)
+    return square(count - 1, 0, 1, height=0.02 * np.sin(9 * line)[None])
 
 
 def test_a_clean_mesh_stays():
@@ -69,8 +52,7 @@ def test_a_fin_on_an_edge_goes():
 
 
 def test_small_pieces_go_by_their_share():
-    square, crumb = wavy_square(20), tetrahedron((5.0, 0, 0))
-    both = concatenate_meshes([square, crumb])
+    both = concatenate_meshes([wavy_square(20), tetrahedron((5.0, 0, 0))])
     assert sorted(face_components(both.faces, edge_table(both.faces))[1]) == [4, 722]
     result, report = clean(both, min_component_share=0.01)
     assert (report.small_components, report.small_component_faces) == (1, 4)
@@ -83,13 +65,13 @@ def test_small_pieces_go_by_their_share():
 
 
 def test_decimation_keeps_shape_and_colour():
-    square = wavy_square(40)
-    result, report = clean(square, max_faces=500)
+    whole = wavy_square(40)
+    result, report = clean(whole, max_faces=500)
     assert result.num_faces <= 500
-    assert report.decimated_faces == square.num_faces - result.num_faces
+    assert report.decimated_faces == whole.num_faces - result.num_faces
     assert np.all(result.colors == 90)
-    np.testing.assert_allclose(result.vertices.min(0), square.vertices.min(0), atol=0.01)
-    np.testing.assert_allclose(result.vertices.max(0), square.vertices.max(0), atol=0.01)
+    np.testing.assert_allclose(result.vertices.min(0), whole.vertices.min(0), atol=0.01)
+    np.testing.assert_allclose(result.vertices.max(0), whole.vertices.max(0), atol=0.01)
     heights = 0.02 * np.sin(9 * result.vertices[:, 0])
     assert np.abs(result.vertices[:, 2] - heights).max() < 0.004
 
@@ -107,36 +89,3 @@ def test_the_first_of_equal_vertices_stays_with_its_colour():
     np.testing.assert_array_equal(result.vertices, vertices[[0, 1, 2, 4]])
     np.testing.assert_array_equal(result.colors, colors[[0, 1, 2, 4]])
     np.testing.assert_array_equal(result.faces, [[0, 1, 2], [1, 3, 2]])
-
-
-MILLION = """
-import numpy as np
-from gsjax.metrics import geometry
-from gsjax.io.machine import peak_memory
-from gsjax.scene.meshes import Mesh
-from gsjax.meshing.cleaning import clean
-from gsjax.meshing.connectivity import topology
-
-count = 711
-x, y = (a.ravel().astype(np.float32) for a in np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count)))
-corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
-faces = np.r_[np.stack([corner, corner + 1, corner + count], -1),
-              np.stack([corner + 1, corner + count + 1, corner + count], -1)].astype(np.int32)
-mesh = Mesh(np.stack([x, y, np.sin(9 * x) / 50], -1), faces, np.full((x.size, 3), 90, np.uint8))
-mesh = Mesh(mesh.vertices, np.r_[mesh.faces, mesh.faces[:500], [[0, 0, 1]]], mesh.colors)
-cleaned, report = clean(mesh)
-assert cleaned.num_faces == len(faces) > 1_000_000, cleaned.num_faces
-assert (report.duplicate_faces, report.degenerate_faces) == (500, 1)
-found = topology(cleaned)
-assert (found.components, found.boundary_loops) == (1, 1)
-points, normals = geometry.sample_surface(cleaned, 50_000, 1)
-assert geometry.compare_to_truth(cleaned, points, normals, samples=50_000)["fscore"] > 0.99
-print(peak_memory())
-"""
-
-
-@pytest.mark.long
-def test_a_million_triangles_are_cleaned_and_measured_within_four_gib():
-    done = subprocess.run([sys.executable, "-c", MILLION], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) < 4 * 2**30  # Measured 0.9 GiB.

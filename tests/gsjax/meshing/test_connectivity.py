@@ -1,30 +1,9 @@
 import numpy as np
 import pytest
+from meshes import mesh_of, square, tetrahedron
 
 from gsjax.meshing.connectivity import border, boundary_loops, edge_table, face_components, topology
 from gsjax.scene.meshes import Mesh
-
-
-def mesh_of(vertices, faces):
-    vertices = np.asarray(vertices, np.float32)
-    return Mesh(vertices, np.asarray(faces, np.int32), np.full((len(vertices), 3), 90, np.uint8))
-
-
-def tetrahedron():
-    return mesh_of([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-
-
-def square(count, without=()):
-    """`count` by `count` unit cells of two triangles, some cells left out."""
-    x, y = np.meshgrid(np.arange(count + 1), np.arange(count + 1))
-    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1)
-    cells = [(i, j) for j in range(count) for i in range(count) if (i, j) not in without]
-    corner = np.array([j * (count + 1) + i for i, j in cells])
-    faces = np.r_[
-        np.stack([corner, corner + 1, corner + count + 1], -1),
-        np.stack([corner + 1, corner + count + 2, corner + count + 1], -1),
-    ]
-    return mesh_of(vertices, faces)
 
 
 def test_a_tetrahedron_is_closed_and_faces_outwards():

@@ -85,14 +85,6 @@ def test_gradient_by_finite_differences_of_the_numpy_sum():
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
 
 
-def test_density_at_the_centre_is_the_opacity_and_points_inwards_beside_it():
-    field = kernels(one_gaussian(np.log([0.1, 0.2, 0.3]), opacity=0.7))
-    assert float(density(jnp.zeros(3, jnp.float32), field)) == pytest.approx(0.7, rel=1e-6)
-    gradient = density_gradient(jnp.array([0.05, 0.0, 0.0], jnp.float32), field)
-    # Closed form: -alpha x / s^2 exp(-x^2 / 2 s^2).
-    np.testing.assert_allclose(gradient, [-0.7 * 0.05 / 0.01 * np.exp(-0.125), 0, 0], rtol=1e-5, atol=1e-7)
-
-
 @pytest.mark.parametrize(
     "log_scales",
     [(-1.0, -1.0, -40.0), (-40.0, -40.0, -40.0), (-200.0, 0.0, 0.0), (90.0, 90.0, 90.0), (88.0, -40.0, 0.0)],
@@ -115,13 +107,6 @@ def test_a_collapsed_gaussian_counts_as_one_of_the_smallest_scale():
     smallest = density(near, kernels(one_gaussian(np.log([1e-8] * 3))))
     assert float(collapsed) == pytest.approx(0.8 * np.exp(-0.125), rel=1e-4)
     assert float(collapsed) == pytest.approx(float(smallest), rel=1e-5)
-
-
-def test_take_picks_neighbours():
-    field = kernels(random_gaussians(8))
-    point = jnp.zeros(3, jnp.float32)
-    parts = [density(point, density_field.take(field, jnp.array(ids))) for ids in ([0, 5], [1, 2, 3, 4, 6, 7])]
-    assert float(sum(parts)) == pytest.approx(float(density(point, field)), rel=1e-5)
 
 
 def test_profile_along_a_ray_is_the_density_there():

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from meshes import square
 
 from gsjax.meshing.connectivity import topology
 from gsjax.meshing.holes import fill_holes
@@ -16,15 +17,8 @@ HOLES = {"shown": (6, 6), "window": (24, 6), "unseen": (6, 24)}  # Lowest cells;
 
 def sheet(without=("shown", "window", "unseen")):
     """`SIDE` by `SIDE` cells at z = 0, facing +z, less some squares of three by three cells."""
-    x, y = np.meshgrid(np.arange(SIDE + 1), np.arange(SIDE + 1))
-    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1).astype(np.float32)
     gone = {(i + a, j + b) for i, j in (HOLES[name] for name in without) for a in range(3) for b in range(3)}
-    corner = np.array([j * (SIDE + 1) + i for j in range(SIDE) for i in range(SIDE) if (i, j) not in gone])
-    faces = np.r_[
-        np.stack([corner, corner + 1, corner + SIDE + 1], -1),
-        np.stack([corner + 1, corner + SIDE + 2, corner + SIDE + 1], -1),
-    ].astype(np.int32)
-    return Mesh(vertices, faces, np.full((len(vertices), 3), 90, np.uint8))
+    return square(SIDE, without=gone)
 
 
 def views(count=3):

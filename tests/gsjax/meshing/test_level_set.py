@@ -113,12 +113,6 @@ def test_same_seed_same_points_whatever_the_chunk(ball):
     assert not np.array_equal(a.points, other.points)
 
 
-def test_one_compilation_for_many_chunks(ball, empty_caches):
-    level_crossing.march_rays.clear_cache()
-    level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1500, chunk=512))
-    assert level_crossing.march_rays._cache_size() == 1
-
-
 def test_transparent_gaussians_do_not_make_density(ball):
     faint = replace(
         ball.gaussians,
@@ -142,25 +136,6 @@ def test_gaussians_with_nan_are_left_out(ball):
     surface = level_set.surface_points(poisoned, *ball.views, LevelSetOptions(num_points=500))
     assert surface.kernels == 1999
     assert np.isfinite(surface.points).all()
-
-
-def test_options_are_sugars_and_points_follow_the_pixels(ball):
-    options = LevelSetOptions()
-    assert (options.level, options.num_points, options.neighbors, options.samples) == (0.3, 10_000_000, 16, 21)
-    assert (options.sigma_range, options.min_opacity, options.oversampling) == (3.0, 0.5, 2.0)
-    assert level_set.options_for(ball.cameras).num_points == 200_000
-    photos = [Camera(ball.cameras[0].viewmat, ball.cameras[0].K, 1600, 1000)] * 10
-    assert level_set.options_for(photos).num_points == 2_000_000
-    assert level_set.options_for(photos * 20).num_points == 10_000_000
-
-
-@pytest.mark.parametrize(
-    ("wrong", "fault"),
-    [({"level": 1.0}, "level 1.0"), ({"num_points": 0}, "points 0"), ({"samples": 1}, "too small to march")],
-)
-def test_options_out_of_range_are_one_line(wrong, fault):
-    with pytest.raises(InputError, match=fault):
-        LevelSetOptions(**wrong)
 
 
 def test_empty_level_set_says_so(ball):

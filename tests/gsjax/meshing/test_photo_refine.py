@@ -1,13 +1,10 @@
 """A mesh settles on photos of a plane whose colours are a formula: what its vertices must come to is known exactly."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import square, turned
 
-from gsjax.meshing import photo_refine
 from gsjax.meshing.photo_refine import refine_on_photos
-from gsjax.rendering.sampling import sample_bilinear
 from gsjax.scene import Frame, Pixels, frame_of, with_pixels
 from gsjax.scene.meshes import Mesh
 
@@ -35,12 +32,7 @@ def photo(eye, colors=texture, gain=1.0) -> Frame:
 
 def sheet(z, side=25) -> Mesh:
     """A square of 1.6 units at a height, which faces -z, where the cameras are."""
-    x, y = np.meshgrid(np.linspace(-0.8, 0.8, side), np.linspace(-0.8, 0.8, side))
-    vertices = np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1).reshape(-1, 3).astype(np.float32)
-    first = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
-    faces = np.concatenate([np.stack([first, first + side, first + 1], -1),
-                            np.stack([first + 1, first + side, first + side + 1], -1)])  # fmt: skip
-    return Mesh(vertices, faces.astype(np.int32), np.zeros((len(vertices), 3), np.uint8))
+    return turned(square(side - 1, -0.8, 0.8, height=z))
 
 
 @pytest.fixture(scope="module")
@@ -115,15 +107,3 @@ def test_two_photos_are_no_evidence(frames):
     settled, report = refine_on_photos(mesh, frames[:2])
     np.testing.assert_array_equal(settled.vertices, mesh.vertices)
     assert report["seen_share"] == 0
-
-
-def test_images_are_read_as_the_library_reads_maps():
-    rng = np.random.default_rng(0)
-    image = rng.uniform(size=(7, 9, 2)).astype(np.float32)
-    positions = rng.uniform((-2, -2), (11, 9), (200, 2)).astype(np.float32)
-    read = photo_refine._read(image, *positions.T)
-    for channel in range(2):
-        expected = jax.vmap(sample_bilinear, in_axes=(None, 0))(
-            jnp.asarray(image[..., channel]), jnp.asarray(positions)
-        )
-        np.testing.assert_allclose(read[:, channel], expected, atol=1e-6)

@@ -1,6 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import ball, mesh_of
 
 from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
 from gsjax.meshing.atlas import Atlas, TexturedMesh
@@ -81,23 +82,8 @@ def test_headlight_fades_with_the_angle():
     np.testing.assert_allclose(picture[..., 1], (0.15 + 0.8 * cosine) * 255, atol=1)
 
 
-def test_own_shading():
-    picture = render_mesh(
-        square(2.0), np.eye(4), K, WIDTH, HEIGHT, shading=lambda hits: hits.depths[:, None] / [2, 4, 8]
-    )
-    np.testing.assert_allclose(picture[14, 17], [255, 127.5, 63.75], atol=1)
-    assert picture.shape == (HEIGHT, WIDTH, 3)
-
-
 def test_sphere_normals_against_the_closed_form():
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=4)
-    mesh = Mesh(
-        (ball.vertices + [0, 0, 4]).astype(np.float32),
-        ball.faces.astype(np.int32),
-        np.zeros((len(ball.vertices), 3), np.uint8),
-    )
+    mesh = ball(4, center=(0, 0, 4))
     picture = render_mesh(mesh, np.eye(4), K, WIDTH, HEIGHT, shading=normal_colors).astype(float)
     depth = depth_of_mesh(mesh, np.eye(4), K, WIDTH, HEIGHT)
     rows, columns = np.nonzero(depth)
@@ -148,7 +134,7 @@ def test_rays_pass_back_faces_and_stop_at_the_first_front_face():
 
 def test_a_texture_is_drawn_where_its_places_say():
     vertices = np.array([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], np.float32)
-    mesh = Mesh(vertices, np.array([[0, 2, 1], [0, 3, 2]], np.int32), np.zeros((4, 3), np.uint8))
+    mesh = mesh_of(vertices, [[0, 2, 1], [0, 3, 2]])
     uvs = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)  # y down, as the camera's
     rng = np.random.default_rng(0)
     texture = rng.integers(0, 256, (8, 8, 3), dtype=np.uint8)

@@ -81,22 +81,10 @@ def test_the_octree_has_cells_of_the_size_asked_for():
         assert report.cell == pytest.approx(max(cell, 2 * poisson.spacing(points)))
 
 
-def test_a_given_depth_keeps_the_scale():
-    points, colors = sphere(3000)
-    report = poisson.reconstruct(points, points, colors, DEPTH_6)[1]
-    assert report.cell == pytest.approx(1.1 * np.ptp(points, axis=0).max() / 2**6)
-
-
 def test_too_few_points_are_refused():
     points, colors = sphere(50)
     with pytest.raises(InputError, match="50 surface points"):
         poisson.reconstruct(points, points, colors)
-
-
-def test_mismatched_arrays_are_refused():
-    points, colors = sphere(200)
-    with pytest.raises(ValueError, match=r"must all be \[P, 3\]"):
-        poisson.reconstruct(points, points[:100], colors)
 
 
 def support(distances, densities, edges=None):

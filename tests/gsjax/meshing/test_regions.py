@@ -79,13 +79,6 @@ def test_a_long_tail_is_a_background_of_its_own():
     assert regions.near_only(points)["foreground"].corners() == boxes["foreground"].corners()
 
 
-def test_given_boxes_are_taken_as_they_are():
-    boxes = regions.fixed_boxes(UNIT, UNIT.scaled(2))
-    assert boxes["foreground"].corners() == [[-1.0] * 3, [1.0] * 3]
-    assert boxes["background"].corners() == [[-2.0] * 3, [2.0] * 3]
-    assert set(regions.fixed_boxes(UNIT)) == {"foreground"}
-
-
 def test_a_foreground_is_the_middle_nine_tenths_half_as_large_again():
     along = np.concatenate([np.full(50, -10.0), np.linspace(-1, 1, 901), np.full(50, 10.0)])
     boxes = regions.near_and_far(np.repeat(along[:, None], 3, axis=1))

@@ -4,20 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
+from meshes import ball
 
 from gsjax.meshing import silhouettes
 from gsjax.meshing.silhouettes import MOST_PHOTOS, overlap, silhouettes_of
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.scene.cameras import look_at
-from gsjax.scene.meshes import Mesh
 
 SIZE, FOCAL, AWAY = 200, 300.0, 5.0
-
-
-def ball(radius):
-    sphere = trimesh.creation.icosphere(subdivisions=5, radius=radius)
-    return Mesh(sphere.vertices, sphere.faces, np.full(sphere.vertices.shape, 128, np.uint8))
 
 
 def outline(radius):
@@ -52,7 +46,7 @@ def test_shares_are_those_of_circles(radius, half, every, monkeypatch):
     expected = [np.sum(part) / either for part in (mesh & matte, mesh & ~matte, matte & ~mesh)]
     seen = silhouettes_of(scene(photos(3, valid if half else None)))
     assert seen[0].is_object.shape == (len(range(every // 2, SIZE, every)),) * 2
-    found = overlap(ball(radius), seen)
+    found = overlap(ball(5, radius), seen)
     np.testing.assert_allclose(found, expected, atol=0.006)
     assert sum(found) == pytest.approx(1)
 

@@ -1,8 +1,6 @@
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from meshes import square, turned
 from scipy import ndimage
 from tolerances import assert_close
 
@@ -26,14 +24,9 @@ def small_chunks(monkeypatch):
     monkeypatch.setattr(texture, "TEXELS_AT_ONCE", 1000)
 
 
-def square(z=0.0, half=1.0, per_side=2, turned=False) -> Mesh:
-    """A square at height z that faces up, of 2 `per_side`^2 triangles, its vertices coloured `UNSEEN`."""
-    x, y = np.meshgrid(*2 * [np.linspace(-half, half, per_side + 1)])
-    vertices = np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=-1).astype(np.float32)
-    corner = np.arange(len(vertices), dtype=np.int32).reshape(per_side + 1, -1)
-    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]))
-    faces = np.r_[np.stack([a, b, c], -1), np.stack([b, d, c], -1)]
-    return Mesh(vertices, faces[:, ::-1].copy() if turned else faces, np.tile(np.uint8([UNSEEN]), (len(vertices), 1)))
+def wall(z=0.0, half=1.0, per_side=2) -> Mesh:
+    """A square at height z that faces up, its vertices coloured `UNSEEN`."""
+    return square(per_side, -half, half, height=z, color=UNSEEN)
 
 
 def flat_layout(mesh: Mesh, size: int) -> Atlas:
@@ -85,7 +78,7 @@ def seen_of(mesh, views, pictures, size=40):
 
 
 def test_a_pattern_on_a_plane_comes_back_from_views_at_an_angle():
-    mesh = square(per_side=4)
+    mesh = wall(per_side=4)
     views = [camera(eye) for eye in ((1, 0.5, 2.5), (-1, 1, 2.2), (0, -1.5, 2.4), (0.3, 0.2, 2.0))]
     shown = [on_plane(view, 0.0) for view in views]
     pictures = [picture(pattern(xy), depth) for xy, depth in shown]
@@ -105,7 +98,7 @@ def test_a_pattern_on_a_plane_comes_back_from_views_at_an_angle():
 
 
 def test_a_hidden_wall_does_not_receive_the_colour_of_the_one_before_it():
-    front, back = square(z=1.0, half=0.4), square(z=0.0, half=1.0)
+    front, back = wall(z=1.0, half=0.4), wall(z=0.0, half=1.0)
     mesh = concatenate_meshes([front, back])
     views = [camera((0.4 * np.cos(a), 0.4 * np.sin(a), 3.0)) for a in (0.0, 1.3, 2.9, 4.4)]
     pictures = []
@@ -127,14 +120,14 @@ def test_a_hidden_wall_does_not_receive_the_colour_of_the_one_before_it():
 
 
 def test_unseen_texels_have_the_colour_of_the_vertices():
-    mesh = square(turned=True)
+    mesh = turned(wall())
     textured, report = texture_mesh(mesh, [camera((0, 0, 3))], [picture([1, 1, 1])], size=64, unwrap=flat_layout)
     assert report["seen_share"] == 0
     assert np.all(textured.texture == UNSEEN)
 
 
 def test_views_count_by_the_pixels_that_a_unit_of_surface_covers():
-    mesh = square(half=0.05)
+    mesh = wall(half=0.05)
     views = [camera((0, 0, 2.0)), camera((0, 0, 4.0)), camera((0, 3.0, 3.0))]
     colors = np.eye(3)
     _, found, is_seen = seen_of(mesh, views, [picture(color) for color in colors], size=9)
@@ -157,14 +150,14 @@ def test_views_count_by_the_pixels_that_a_unit_of_surface_covers():
     ],
 )
 def test_pictures_that_do_not_show_the_surface_are_left_out(name, shown):
-    mesh, view = square(), camera((0.2, 0.3, 3.0))
+    mesh, view = wall(), camera((0.2, 0.3, 3.0))
     depth = on_plane(view, 0.0)[1]
     assert not seen_of(mesh, [view], [shown(depth)])[2].any(), name
     assert seen_of(mesh, [view], [picture([1, 0, 0], 0.97 * depth)])[2].any()
 
 
 def test_half_covered_pixels_give_their_straight_colour():
-    mesh, view = square(), camera((0.2, 0.3, 3.0))
+    mesh, view = wall(), camera((0.2, 0.3, 3.0))
     alphas = np.full((HEIGHT, WIDTH), 0.6, np.float32)
     _, colors, is_seen = seen_of(mesh, [view], [picture([0.2, 0.4, 1.0], alphas=alphas)])
     assert is_seen.any()
@@ -172,7 +165,7 @@ def test_half_covered_pixels_give_their_straight_colour():
 
 
 def test_beyond_the_picture_and_behind_the_camera_nothing_is_seen():
-    mesh = square(half=2.0)
+    mesh = wall(half=2.0)
     views = [camera((0, 0, 1.0)), camera((0, 0, 1.0), target=(0, 0, 2.0))]
     for view, is_turned in zip(views, (False, True), strict=True):
         texels, _, is_seen = seen_of(mesh, [view], [picture([1, 1, 1])], size=101)
@@ -186,7 +179,7 @@ def test_beyond_the_picture_and_behind_the_camera_nothing_is_seen():
 
 
 def test_chunks_change_nothing(monkeypatch):
-    mesh, view = square(), camera((0.5, 0.3, 2.0))
+    mesh, view = wall(), camera((0.5, 0.3, 2.0))
     shown = [picture(pattern(on_plane(view, 0.0)[0]))]
     in_parts = seen_of(mesh, [view], shown)[1:]
     monkeypatch.setattr(texture, "TEXELS_AT_ONCE", 1 << 13)
@@ -196,7 +189,7 @@ def test_chunks_change_nothing(monkeypatch):
 
 def test_triangles_left_out_beforehand_would_not_have_been_seen(monkeypatch):
     """Walls on all sides, one of them facing away, cut by the image's border and by the plane of the camera."""
-    low, high, away = square(z=-1.0, half=3.0, per_side=5), square(z=0.5, half=1.0, turned=True), square(z=2.0)
+    low, high, away = wall(z=-1.0, half=3.0, per_side=5), turned(wall(z=0.5, half=1.0)), wall(z=2.0)
     mesh = concatenate_meshes([low, high, away])
     views = [camera((0.4, 0.1, 1.0)), camera((2.5, 0, 0.0), target=(0, 0.3, 0.2)), camera((0, 0, 1.0), (0.1, 0, 2.0))]
     maps = [depth_of_mesh(mesh, view.viewmat, view.K, WIDTH, HEIGHT) for view in views]
@@ -213,7 +206,7 @@ def test_triangles_left_out_beforehand_would_not_have_been_seen(monkeypatch):
 
 def test_the_texture_reads_the_same_on_both_sides_of_a_seam():
     """On every edge between two triangles, each with a cell of its own."""
-    mesh = square(per_side=4)
+    mesh = wall(per_side=4)
     views = [camera((0.3, 0.5, 2.6)), camera((-0.4, 0.2, 2.8))]
     pictures = [picture(pattern(on_plane(view, 0.0)[0])) for view in views]
     textured, _ = texture_mesh(mesh, views, pictures, size=256, unwrap=cells)
@@ -230,44 +223,8 @@ def test_the_texture_reads_the_same_on_both_sides_of_a_seam():
         assert np.abs(np.subtract(*read)).max() < 3
 
 
-@pytest.mark.long
-def test_two_hundred_thousand_triangles_fit_into_a_gigabyte():
-    """A million were measured: 1.2 GB. Here the program with all its packages takes 0.6 of it."""
-    program = """
-import numpy as np
-from gsjax.scene.cameras import Camera
-from gsjax.rendering.gallery import Picture
-from gsjax.io.machine import peak_memory
-from gsjax.scene.meshes import Mesh
-from gsjax.meshing.texture import texture_mesh
-
-side = 317
-x, y = np.meshgrid(*2 * [np.linspace(-1, 1, side, dtype=np.float32)])
-at = np.arange(side * side, dtype=np.int32).reshape(side, side)
-a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
-faces = np.r_[np.stack([a, c, b], -1), np.stack([b, c, d], -1)]
-mesh = Mesh(np.stack([x, y, 0.1 * np.sin(9 * x)], -1).reshape(-1, 3), faces, np.zeros((side * side, 3), np.uint8))
-viewmat = np.eye(4, dtype=np.float32)
-viewmat[2, 3] = 3
-view = Camera(viewmat, np.array([[90, 0, 48], [0, 90, 48], [0, 0, 1]], np.float32), 96, 96)
-shown = Picture(
-    np.full((96, 96, 3), 0.5, np.float32),
-    np.zeros((96, 96), np.float32),
-    np.ones((96, 96), np.float32),
-    np.zeros((96, 96), np.int32),
-)
-from gsjax.meshing.atlas import cells
-textured, report = texture_mesh(mesh, [view], [shown], size=2048, unwrap=cells)
-assert report["seen_share"] > 0.9, report
-print(peak_memory() / 2**30)
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert float(done.stdout) < 1
-
-
 def test_what_shines_through_a_thin_wall_is_its_own_colour_but_not_at_its_rim():
-    mesh, view = square(half=0.4), camera((0.1, 0.2, 2.0))
+    mesh, view = wall(half=0.4), camera((0.1, 0.2, 2.0))
     xy, depth = on_plane(view, 0.0)
     is_wall = np.abs(xy).max(axis=-1) < 0.4
     thin = picture([0.2, 0.4, 0.6], np.where(is_wall, depth, 0), np.where(is_wall, 0.75, 0).astype(np.float32))

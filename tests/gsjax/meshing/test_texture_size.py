@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import trimesh
+from meshes import ball, mesh_of, square
 from tolerances import assert_close
 
 from gsjax.meshing.pictures import depth_of_mesh
@@ -25,57 +25,45 @@ def camera(distance: float, turn: float = 0.0, size: float = 1.0, behind: bool =
     return Camera(viewmat, K.astype(np.float32), round(WIDTH * size), round(HEIGHT * size))
 
 
-def mesh(vertices, faces) -> Mesh:
-    vertices = np.asarray(vertices, np.float32)
-    return Mesh(vertices, np.asarray(faces, np.int32), np.zeros((len(vertices), 3), np.uint8))
-
-
-def square(per_side: int) -> Mesh:
-    """[-1, 1] squared in the plane z = 0, facing up, of 2 `per_side`^2 triangles."""
-    line = np.linspace(-1, 1, per_side + 1)
-    x, y = (axis.ravel() for axis in np.meshgrid(line, line))
-    corner = np.arange(len(x)).reshape(per_side + 1, -1)
-    a, b, c, d = (part.ravel() for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]))
-    return mesh(np.stack([x, y, 0 * x], -1), np.r_[np.stack([a, b, d], -1), np.stack([a, d, c], -1)])
-
-
-BALL = trimesh.creation.icosphere(4)
+def plane(per_side: int) -> Mesh:
+    """[-1, 1] squared in the plane z = 0, facing up."""
+    return square(per_side, -1.0, 1.0)
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5, 1.1])
 def test_pixels_of_a_plane_are_those_whose_rays_meet_it(turn):
-    plane, view = square(40), camera(4.0, turn)
-    met = np.count_nonzero(depth_of_mesh(plane, view.viewmat, view.K, view.width, view.height))
-    assert_close(pixels_of_faces(plane, view).sum(), met, rtol=0.01, why="the plane's outline is 500 pixels long")
+    wall, view = plane(40), camera(4.0, turn)
+    met = np.count_nonzero(depth_of_mesh(wall, view.viewmat, view.K, view.width, view.height))
+    assert_close(pixels_of_faces(wall, view).sum(), met, rtol=0.01, why="the plane's outline is 500 pixels long")
 
 
 def test_pixels_of_a_ball_are_those_of_its_near_side():
-    ball, view = mesh(BALL.vertices, BALL.faces), camera(4.0)
-    met = np.count_nonzero(depth_of_mesh(ball, view.viewmat, view.K, view.width, view.height))
-    assert_close(pixels_of_faces(ball, view).sum(), met, rtol=0.01, why="its outline is 300 pixels long")
+    near, view = ball(4), camera(4.0)
+    met = np.count_nonzero(depth_of_mesh(near, view.viewmat, view.K, view.width, view.height))
+    assert_close(pixels_of_faces(near, view).sum(), met, rtol=0.01, why="its outline is 300 pixels long")
 
 
 def test_a_triangle_right_before_a_camera_covers_no_more_than_the_image():
-    assert pixels_of_faces(square(1), camera(1e-4)).tolist() == [WIDTH * HEIGHT] * 2
+    assert pixels_of_faces(plane(1), camera(1e-4)).tolist() == [WIDTH * HEIGHT] * 2
 
 
 @pytest.mark.parametrize("view", [camera(4.0, behind=True), camera(4.0, np.pi)])
 def test_what_no_camera_looks_at_takes_no_texels(view):
-    assert not pixels_of_faces(square(2), view).any()
-    assert texture_side(square(2), [view], **BOUNDS) == STEP
+    assert not pixels_of_faces(plane(2), view).any()
+    assert texture_side(plane(2), [view], **BOUNDS) == STEP
 
 
 def test_the_side_follows_the_view_that_sees_most():
-    plane, near, far = square(20), camera(4.0, size=4.0), camera(16.0)
-    expected = np.sqrt(4 * pixels_of_faces(plane, near).sum() / FILLED)  # four texels a pixel
-    side = texture_side(plane, [far, near, far], **BOUNDS)
+    wall, near, far = plane(20), camera(4.0, size=4.0), camera(16.0)
+    expected = np.sqrt(4 * pixels_of_faces(wall, near).sum() / FILLED)  # four texels a pixel
+    side = texture_side(wall, [far, near, far], **BOUNDS)
     assert 0 <= side - expected < STEP and side % STEP == 0
-    assert texture_side(plane, [far], **BOUNDS) < side
+    assert texture_side(wall, [far], **BOUNDS) < side
 
 
 def test_small_triangles_have_room_and_the_bounds_hold():
-    plane, far = square(300), camera(100.0)
-    side = texture_side(plane, [far], **BOUNDS)
+    wall, far = plane(300), camera(100.0)
+    side = texture_side(wall, [far], **BOUNDS)
     assert 0 <= side - np.sqrt(16 * 180_000 / FILLED) < STEP
-    assert texture_side(plane, [camera(4.0, size=20.0)], **BOUNDS) == BOUNDS["most"]
-    assert texture_side(mesh(np.zeros((0, 3)), np.zeros((0, 3))), [far], **BOUNDS) == BOUNDS["least"]
+    assert texture_side(wall, [camera(4.0, size=20.0)], **BOUNDS) == BOUNDS["most"]
+    assert texture_side(mesh_of(np.zeros((0, 3)), np.zeros((0, 3))), [far], **BOUNDS) == BOUNDS["least"]

@@ -43,16 +43,6 @@ def test_round_trip_through_obj_keeps_float32(tmp_path, mesh):
     np.testing.assert_array_equal(found.colors[found.faces], mesh.colors[mesh.faces])
 
 
-def test_obj_text_is_ours(tmp_path, mesh):
-    write_mesh(tmp_path / "m.obj", mesh)
-    lines = (tmp_path / "m.obj").read_text().splitlines()
-    vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
-    np.testing.assert_allclose(vertices[:, :3], mesh.vertices, rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(vertices[:, 3:], mesh.colors / 255, atol=1e-6)
-    faces = [[int(part.split("/")[0]) for part in line.split()[1:]] for line in lines if line.startswith("f ")]
-    np.testing.assert_array_equal(np.array(faces) - 1, mesh.faces)
-
-
 def test_glb_holds_the_scenes_own_axes(tmp_path, mesh):
     write_mesh(tmp_path / "m.glb", mesh)
     data = (tmp_path / "m.glb").read_bytes()
