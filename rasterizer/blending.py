@@ -58,7 +58,7 @@ def unblend_splat(
         t: Transmittance behind the splat.
         behind: Sum over what lies behind of weight x lit, background and dL/dT included.
         lit: dL/dimage . features of the splat.
-        alpha: Alpha of the splat, cut; zero where it does not count.
+        alpha: Alpha of the splat, cut; zero where it is not blended.
         unclamped: The same before the clamp.
         rules: Whether the gradient passes the clamp.
         front: `lit` of the channels that end in front, and the transmittance at which they do.

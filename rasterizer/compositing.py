@@ -20,7 +20,7 @@ from rasterizer.tracing import without_axes
 
 
 class Front(NamedTuple):
-    """Channels that end with the first layers, while the others go on. Hashable, static.
+    """Channels that end with the first layers, while the others are blended to the end. Hashable, static.
 
     They see the light down to a transmittance of `stop_after`: the splat that would leave less counts with what is
     missing to that, nothing behind it counts. Weights are continuous in all alphas.

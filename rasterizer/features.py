@@ -1,4 +1,4 @@
-"""What is blended: the channels that a call asks for, and none besides."""
+"""What is blended: the channels that a call requests, and no others."""
 
 from typing import Literal
 

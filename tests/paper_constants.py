@@ -22,7 +22,7 @@ from gsjax.binding import refinement
 from gsjax.binding.refinement import PRESETS as REFINEMENTS
 from gsjax.binding.refinement import Refinement
 from gsjax.gaussians import opacities
-from gsjax.meshing import poisson
+from gsjax.meshing import level_set, poisson
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.metrics import images
 from gsjax.pipeline import training_journal
@@ -266,8 +266,8 @@ CONSTANTS = (
     Constant("refinement's next degree", (1000, 1000), "SuGaR, refine.py: at every length",
              lambda: (degree_steps("paper_6k_15k"), degree_steps("paper_13k_7k"))),
     Constant("surface level, points, neighbours, samples", (0.3, 10_000_000, 16, 21), "SuGaR, coarse_mesh.py",
-             lambda: tuple(getattr(LevelSetOptions(), n) for n in ("level", "num_points", "neighbors", "samples"))),
-    Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: LevelSetOptions().min_opacity),
+             lambda: (LevelSetOptions().level, LevelSetOptions().num_points, level_set.NEIGHBORS, level_set.SAMPLES)),
+    Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: level_set.MIN_OPACITY),
     Constant("outliers and scale of Poisson", (20, 20.0, 1.1), "SuGaR, coarse_mesh.py; Open3D's default",
              lambda: (poisson.OUTLIER_NEIGHBORS, poisson.OUTLIER_RATIO, poisson.SCALE)),
 )  # fmt: skip

@@ -13,8 +13,10 @@ CHECKED = (
     "README.md",
     *(f"docs/{page}.md" for page in ("api", "contributing", "differentiation", "own_loop", "tasks/share")),
     "experiments",
-    *(f"gsjax/{part}" for part in ("analytic", "cli", "config.py", "gaussians.py", "io", "networks", "numerics.py")),
-    *(f"gsjax/{part}" for part in ("report", "runs", "scene", "sharing", "viewer")),
+    "rasterizer",
+    *(f"gsjax/{part}" for part in ("analytic", "binding", "cli", "config.py", "gaussians.py", "io", "meshing")),
+    *(f"gsjax/{part}" for part in ("metrics", "networks", "numerics.py", "report", "runs", "scene", "sharing")),
+    *(f"gsjax/{part}" for part in ("stereo", "viewer")),
 )
 """Folders and files whose docstrings, pages and help texts have no word of `WORDS`, and no name of `PARTICIPLES`."""
 

@@ -77,7 +77,7 @@ def bind(
     opacity: float = 0.9,
     pixel_filter: PixelFilter = "mip",
 ) -> BoundGaussians:
-    """Round Gaussians on every triangle, as wide as the layout leaves room beside the shortest edge.
+    """Round Gaussians on every triangle, as wide as the layout and the shortest edge allow.
 
     Args:
         mesh: Vertices, triangles and the colours that the Gaussians start with.

@@ -1,8 +1,8 @@
 """Refinement: a mesh's vertices and the Gaussians bound to it, trained together on the photos (SuGaR, section 4.2).
 
-Towards the end the mesh may be moved once from outside (`refine`, `settled`); then its Gaussians follow it.
+Towards the end the mesh may be moved once from outside (`refine`, `move_mesh`); then its Gaussians follow it.
 
-Free Gaussians, where there are any, are trained beside them as before, but neither multiply nor vanish.
+Free Gaussians are trained with them as before, but are neither densified nor pruned.
 Defaults are SuGaR's at full scale. A shorter run moves its SH ramp and its decay in proportion, unless it sets them, as
 the presets of SuGaR's lengths do.
 """
@@ -95,7 +95,7 @@ class Refinement:
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
     pixel_filter: PixelFilter = "mip"  # see `gsjax.rendering.PIXEL_FILTERS`
     keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.uncovered`
-    settle_at: float = 1.0  # share of the steps after which the mesh settles on its photos and stays there; 1: never
+    settle_at: float = 1.0  # share of the steps after which the mesh is refined on its photos and stays there; 1: never
     seed: int = 0
     weights: RefinementWeights = RefinementWeights()
     rates: RefinementRates = RefinementRates()
@@ -161,7 +161,7 @@ class RefineState:
 
 
 class RefineProgress(NamedTuple):
-    """What the loop tells after every step."""
+    """What the loop reports after every step."""
 
     step: int  # steps done
     state: RefineState  # valid until the next step, which takes its buffers
@@ -178,7 +178,7 @@ def refine(
     *,
     background: Background,
     observe: Callable[[RefineProgress], None],
-    settled: Callable[[BoundGaussians], BoundGaussians] = lambda bound: bound,
+    move_mesh: Callable[[BoundGaussians], BoundGaussians] = lambda bound: bound,
     capacity: int | None = None,
 ) -> RefineState:
     """Train all parameters of Gaussians and mesh on photos, from `state.step` on.
@@ -191,7 +191,7 @@ def refine(
         optimizer: The transformation that made the state.
         background: Under the images; where photos have no mattes it may also be as `gsjax.rendering.backdrop` has it.
         observe: Called after every step.
-        settled: Moves the vertices once, after `settings.moving_steps`, if there are more; the rest of the steps is for
+        move_mesh: Moves the vertices once, after `settings.moving_steps`, if there are more; the remaining steps train
             the Gaussians on them.
         capacity: Pair buffer to continue with; None counts.
 
@@ -228,7 +228,7 @@ def refine(
 
     def after(step: int, state: RefineState, metrics: Metrics, capacity: int) -> RefineState:
         if step == settings.moving_steps < settings.steps:
-            state = replace(state, gaussians=replace(state.gaussians, bound=settled(state.gaussians.bound)))
+            state = replace(state, gaussians=replace(state.gaussians, bound=move_mesh(state.gaussians.bound)))
         observe(RefineProgress(step, state, metrics, capacity))
         return state
 

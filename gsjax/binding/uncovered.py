@@ -41,7 +41,7 @@ def uncovered_gaussians(
     Args:
         gaussians: N of them.
         data: The views to look from.
-        mesh_depths: `[H, W]` camera z of the mesh a view, of the size of `data`, 0 where there is none; looked at one
+        mesh_depths: `[H, W]` camera z of the mesh a view, of the size of `data`, 0 where there is none; read one
             by one.
         border: `[B, 3]` vertices at which the mesh ends, see `gsjax.meshing.connectivity.border`; B may be 0.
         depth_mode: What a splat's depth is, see `gsjax.rendering`.
@@ -72,7 +72,7 @@ def _light(gaussians: Gaussians, target: Batch, mesh_depth: Array, *, capacity: 
     black = jnp.zeros(3, jnp.float32)
     batch = batches.decode(target, black)
 
-    def shown(probe: Array) -> tuple[Array, tuple[Array, Array]]:
+    def probed_view(probe: Array) -> tuple[Array, tuple[Array, Array]]:
         view = rendering.render(
             gaussians,
             batch.camera,
@@ -82,12 +82,12 @@ def _light(gaussians: Gaussians, target: Batch, mesh_depth: Array, *, capacity: 
             depth_mode=depth_mode,
             extra=probe,
         )
-        assert view.extra is not None and view.depth is not None  # as asked for
+        assert view.extra is not None and view.depth is not None
         return view.extra, (view.depth, view.splats.projection.depths[0])
 
     # The image is linear in the probe, and blending weights times whatever a pixel holds are its gradient.
     nothing = jnp.zeros((gaussians.num_gaussians, 4), jnp.float32)
-    _, summed, (depth, own_depths) = jax.vjp(shown, nothing, has_aux=True)
+    _, summed, (depth, own_depths) = jax.vjp(probed_view, nothing, has_aux=True)
     has_mesh = batch.valid & (mesh_depth > 0)
     differs = has_mesh & (jnp.abs(depth - mesh_depth) > SAME_SURFACE * mesh_depth)
     pixels = [batch.valid, batch.valid & ~has_mesh, differs, jnp.where(differs, mesh_depth, 0)]

@@ -2,7 +2,7 @@
 
 Gaussians fit every photo, also with depth that is wrong: where nothing has texture, and where few photos look, each
 view shows a surface of its own, and all of them together are lumps and shells. Photos compared with each other
-(`gsjax.stereo`) tell depth without Gaussians, but not everywhere.
+(`gsjax.stereo`) have depth without Gaussians, but not everywhere.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -24,10 +24,10 @@ NormalsOfDepth = Callable[[np.ndarray, np.ndarray, Camera], np.ndarray]
 
 LEAST_FACING = 0.15  # Cosine between normal and ray: what is seen at a flatter angle is an edge, or off by much.
 AGREEING = 2  # Other views, at the least, that show a surface where a view shows it: one may be wrong as well.
-SHARE = 0.7  # Of the views that look at the place, those that show it; the others look through it.
+SHARE = 0.7  # Of the views that observe the place, those that show it; the others see through it.
 SAME_SURFACE = 0.005  # Share of the depth up to which two views show one surface.
-FROM_ELSEWHERE = np.cos(np.radians(4.0))  # Cosine between two rays to a point: views nearer together tell little.
-MOST_OTHERS = 16  # Views that are asked, those that look at most of what a view shows.
+FROM_ELSEWHERE = np.cos(np.radians(4.0))  # Cosine between two rays to a point: views nearer together are no evidence.
+MOST_OTHERS = 16  # Views that are compared, those that observe most of what a view shows.
 SAMPLED = 200  # Points of a view by which these are chosen.
 
 
@@ -36,8 +36,8 @@ def consistent_poisson(
     num_points: int,
     reconstruction: PoissonOptions | None = None,
     *,
-    shown: Sequence[CoarseDepth],
-    told: Mapping[int, CoarseDepth],
+    rendered: Sequence[CoarseDepth],
+    stereo: Mapping[int, CoarseDepth],
     ids: Sequence[int] | None = None,
 ) -> Method:
     """`depth_poisson` of `consistent_pictures`; the arguments are those of both."""
@@ -49,13 +49,13 @@ def consistent_poisson(
         shares: list[float] = []
 
         def counted() -> Iterator[Picture]:
-            for picture in consistent_pictures(cameras, pictures, shown, told, ids):
+            for picture in consistent_pictures(cameras, pictures, rendered, stereo, ids):
                 shares.append(float((picture.depth > 0).mean()))
                 yield picture
 
         sighting = of_depth(gaussians, cameras, counted())
-        told_views = {"photos_that_tell": len(told), "agreed_share": float(np.mean(shares))}
-        return sighting._replace(report=sighting.report | told_views)
+        of_stereo = {"photos_that_tell": len(stereo), "agreed_share": float(np.mean(shares))}
+        return sighting._replace(report=sighting.report | of_stereo)
 
     return from_consistent_depth
 
@@ -63,44 +63,44 @@ def consistent_poisson(
 def consistent_pictures(
     cameras: Sequence[Camera],
     pictures: Iterable[Picture],
-    shown: Sequence[CoarseDepth],
-    told: Mapping[int, CoarseDepth],
+    rendered: Sequence[CoarseDepth],
+    stereo: Mapping[int, CoarseDepth],
     ids: Sequence[int] | None = None,
 ) -> Iterator[Picture]:
     """The same pictures, with depth where views agree about it and nothing elsewhere.
 
-    Where photos tell a depth it takes the place of the rendered one, and the pixel counts as covered. Rendered depth
+    Stereo depth of a photo replaces the rendered one, and the pixel counts as covered. Rendered depth
     stays where at least `AGREEING` other views, and `SHARE` of those that nothing nearer hides it from, show a surface
     at the same place, up to `SAME_SURFACE` of the depth.
 
     Args:
         cameras: One camera a view.
-        pictures: One rendered picture a camera, in order; looked at one by one.
-        shown: The coarse rendered depth of all views, which confirm each other.
-        told: By the view's index in `shown`, the stereo depth of its photo, of any size; 0 where it has none.
-        ids: Of every camera, its index in `shown`. None: the cameras are those of all views.
+        pictures: One rendered picture a camera, in order; read one by one.
+        rendered: The coarse rendered depth of all views, which confirm each other.
+        stereo: By the view's index in `rendered`, the stereo depth of its photo, of any size; 0 where it has none.
+        ids: Of every camera, its index in `rendered`. None: the cameras are those of all views.
     """
-    mixed = [_mixed(view, told.get(index)) for index, view in enumerate(shown)]
+    mixed = [_mixed(view, stereo.get(index)) for index, view in enumerate(rendered)]
     asked = _others(mixed)
-    ids = range(len(shown)) if ids is None else ids
+    ids = range(len(rendered)) if ids is None else ids
     for index, camera, picture in zip(ids, cameras, pictures, strict=True):
         level_set.check_sizes(index, camera, picture)
         agreed = _agreed(mixed[index], [mixed[other] for other in asked[index]])
         depth = np.where(_enlarged(agreed, camera), picture.depth, 0).astype(np.float32)
         covered = np.asarray(picture.alphas)
-        if index in told:
-            by_photos = _enlarged(told[index].depth, camera)
+        if index in stereo:
+            by_photos = _enlarged(stereo[index].depth, camera)
             depth = np.where(by_photos > 0, by_photos, depth)
             covered = np.where(by_photos > 0, np.float32(1), covered)
         yield picture._replace(depth=depth, alphas=covered)
 
 
-def _mixed(shown: CoarseDepth, told: CoarseDepth | None) -> CoarseDepth:
-    """The coarse view with the depth that the photo tells, where it tells one."""
-    if told is None:
-        return shown
-    by_photo = _enlarged(told.depth, shown.camera)
-    return shown._replace(depth=np.where(by_photo > 0, by_photo, shown.depth))
+def _mixed(rendered: CoarseDepth, stereo: CoarseDepth | None) -> CoarseDepth:
+    """The coarse view, with stereo depth where its photo has some."""
+    if stereo is None:
+        return rendered
+    by_photo = _enlarged(stereo.depth, rendered.camera)
+    return rendered._replace(depth=np.where(by_photo > 0, by_photo, rendered.depth))
 
 
 def _agreed(view: CoarseDepth, others: Sequence[CoarseDepth]) -> np.ndarray:
@@ -122,7 +122,7 @@ def _agreed(view: CoarseDepth, others: Sequence[CoarseDepth]) -> np.ndarray:
 
 
 def _others(views: Sequence[CoarseDepth]) -> list[list[int]]:
-    """Of every view the indices of those that look at most of what it shows, most first."""
+    """Of every view the indices of those that observe most of what it shows, most first."""
     rng = np.random.default_rng(0)
     found = []
     for index, view in enumerate(views):
@@ -149,9 +149,6 @@ def depth_poisson(
     normals_of: NormalsOfDepth,
     num_points: int,
     reconstruction: PoissonOptions | None = None,
-    *,
-    min_alpha: float = 0.5,
-    seed: int = 0,
 ) -> Method:
     """Poisson through random pixels of the rendered depth, with normals of that depth.
 
@@ -162,19 +159,17 @@ def depth_poisson(
         normals_of: Such as `gsjax.normals.from_depth.smoothed_depth_normals`.
         num_points: Most points, over all views.
         reconstruction: Of the Poisson stage. None: its defaults.
-        min_alpha: Pixels covered less show no surface.
-        seed: Of the random choice of pixels.
     """
 
     def from_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
-        rng, wanted = np.random.default_rng(seed), num_points // max(len(cameras), 1) + 1
+        rng, wanted = np.random.default_rng(0), num_points // max(len(cameras), 1) + 1
         views = [
-            _points_of_view(index, camera, picture, normals_of, wanted, min_alpha, rng)
+            _points_of_view(index, camera, picture, normals_of, wanted, rng)
             for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
         ]
         if not sum(len(points) for points, _, _ in views):
             raise NoSurfaceError(
-                f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha} and a normal"
+                f"no surface to extract: no pixel of {len(views)} views has alpha > {level_set.MIN_ALPHA} and a normal"
             )
         points, normals, colors = (np.concatenate(parts) for parts in zip(*views, strict=True))
         build = poisson_through(gaussians, points, normals, colors, reconstruction)
@@ -189,13 +184,12 @@ def _points_of_view(
     picture: Picture,
     normals_of: NormalsOfDepth,
     count: int,
-    min_alpha: float,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points, outward normals and colours of some pixels of one view."""
     level_set.check_sizes(index, camera, picture)
     depth, alphas = np.asarray(picture.depth), np.asarray(picture.alphas)
-    covered = level_set.shows_surface(picture, min_alpha)
+    covered = level_set.shows_surface(picture)
     depth = np.where(covered, depth, 0)
     normals = np.asarray(normals_of(depth, np.where(covered, alphas, 0), camera), np.float64)
     rows, columns = np.nonzero(covered & np.any(normals != 0, axis=-1))

@@ -40,7 +40,7 @@ class MeshFormat:
     read: Callable[[Path, NamedFiles], list[Part]] | None = None
     encode: Callable[[Mesh, Place], bytes] | None = None
     encode_textured: Callable[[TexturedMesh, Place], bytes] | None = None
-    states_place: bool = False  # within the file; else a file beside it does
+    states_place: bool = False  # within the file; else a file next to it does
 
 
 FORMATS = {
@@ -60,7 +60,7 @@ def write_mesh(path: str | Path, mesh: Mesh, place: Place = UNPLACED) -> None:
     Args:
         path: Its suffix says the format: .ply, .obj or .glb.
         mesh: What to write.
-        place: What is known of the world that it lies in: stated in the file, or beside an OBJ.
+        place: What is known of the world that it lies in: stated in the file, or next to an OBJ.
 
     Raises:
         InputError: Unknown suffix, or the file cannot be written.

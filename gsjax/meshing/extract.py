@@ -36,13 +36,13 @@ def extract_mesh(
 ) -> tuple[Mesh, dict]:
     """The mesh of the surface that the cameras see.
 
-    Each region is reconstructed by itself, at its own resolution, cut off at its border, cleaned, and laid beside the
+    Each region is reconstructed by itself, at its own resolution, cut off at its border, cleaned, and joined to the
     others without stitching.
 
     Args:
         gaussians: The trained scene.
         cameras: One camera a view.
-        pictures: One rendered picture a camera, in order, with the owners that `level_set_poisson` looks at; a
+        pictures: One rendered picture a camera, in order, with the owners that `level_set_poisson` reads; a
             generator will do. None: they are drawn here, in the constant colour of the Gaussians, over black.
         method: How the surface is found: any function of this signature, such as the makers that
             `gsjax.meshing.methods.METHODS` lists return. None: `level_set_poisson()`.
@@ -57,7 +57,7 @@ def extract_mesh(
         `facing_share` (of the view rays, those whose first triangle faces the camera).
 
     Raises:
-        InputError: There is no camera, a picture lacks what the method looks at, there is no surface, none in any
+        InputError: There is no camera, a picture lacks what the method reads, there is no surface, none in any
             region, or no triangle survives.
     """
     if not cameras:

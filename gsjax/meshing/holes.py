@@ -1,4 +1,4 @@
-"""Holes of a mesh where views saw a surface are closed; what nobody saw, and what views look through, stays open."""
+"""Holes of a mesh are closed where views show a surface; what no view observes, or views see through, stays open."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

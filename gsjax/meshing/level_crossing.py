@@ -37,7 +37,7 @@ def march_ray(
 
     Args:
         nearby: `[k]` kernels that make the density; the first is the hit Gaussian.
-        hit: `[3]` world point; the march is centred beside it, where the hit Gaussian is densest on the ray.
+        hit: `[3]` world point; the march is centred near it, where the hit Gaussian is densest on the ray.
         direction: `[3]` unit, away from the camera.
         level: Density of the surface.
         samples: Number of evenly spaced densities.

@@ -29,21 +29,22 @@ from gsjax.scene.colors import to_bytes
 PIXELS_PER_POINT = 8  # Photos of so many pixels in all bear one surface point.
 FEWEST_POINTS = 200_000
 QUIET = 3.0  # Seconds of marching that need no bar.
+# SuGaR's numbers.
+OVERSAMPLING = 2.0  # rays marched per point wanted; what finds too many is cut back at random
+NEIGHBORS = 16  # Gaussians that make the density around a ray, the one that was hit among them
+SAMPLES = 21  # densities evaluated along a ray
+SIGMA_RANGE = 3.0  # half length of the march, standard deviations of the hit Gaussian along the ray
+MIN_OPACITY = 0.5  # Gaussians up to this make no density, unless fewer than `NEIGHBORS` would remain
+MIN_ALPHA = 0.5  # a pixel covered less shows no surface
+CHUNK = 16_384  # rays marched at once: a bound of the memory, results do not depend on it
 
 
 @dataclass(frozen=True)
 class LevelSetOptions:
-    """The numbers of the sampling; the defaults are SuGaR's at full scale, `options_for` suits them to small photos."""
+    """The choices of the caller; the defaults are SuGaR's at full scale, `options_for` suits them to small photos."""
 
     level: float = 0.3  # density of the surface; SuGaR takes 0.1, 0.3 or 0.5
     num_points: int = 10_000_000  # most points, over all views
-    oversampling: float = 2.0  # rays marched per point wanted; what finds too many is cut back at random
-    neighbors: int = 16  # Gaussians that make the density around a ray, the one that was hit among them
-    samples: int = 21  # densities evaluated along a ray
-    sigma_range: float = 3.0  # half length of the march, standard deviations of the hit Gaussian along the ray
-    min_opacity: float = 0.5  # Gaussians up to this make no density, unless fewer than `neighbors` would remain
-    min_alpha: float = 0.5  # a pixel covered less shows no surface
-    chunk: int = 16_384  # rays marched at once: a bound of the memory, results do not depend on it
 
     def __post_init__(self):
         """Check ranges."""
@@ -51,8 +52,6 @@ class LevelSetOptions:
             raise InputError(f"level {self.level} is not between 0 and 1")
         if self.num_points < 1:
             raise InputError(f"number of surface points {self.num_points} is below 1")
-        if min(self.neighbors, self.chunk) < 1 or self.samples < 2:
-            raise InputError(f"{self.neighbors=}, {self.samples=}, {self.chunk=}: too small to march with")
 
 
 def options_for(cameras: Sequence[Camera]) -> LevelSetOptions:
@@ -71,7 +70,7 @@ class SurfacePoints:
     colors: np.ndarray  # [P, 3] uint8 sRGB
     view_ids: np.ndarray  # [P] int32 index of the camera
     rays: int  # marched
-    crossings: int  # rays that crossed the level; a random part of them is kept where there are more than asked for
+    crossings: int  # rays that crossed the level; a random part of them is kept where there are more than requested
     flipped: int  # of the crossings, those whose density gradient faced away from the camera
     kernels: int  # Gaussians that made the density, after the cull by opacity
 
@@ -105,7 +104,7 @@ def surface_points(
     Args:
         gaussians: The trained scene.
         cameras: One camera a view.
-        pictures: One rendered picture of these Gaussians a camera, with owners, in order; looked at one by one. Colours
+        pictures: One rendered picture of these Gaussians a camera, with owners, in order; read one by one. Colours
             best come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say
             nothing.
         options: The numbers. None: `options_for` these cameras.
@@ -119,14 +118,14 @@ def surface_points(
     """
     options = options_for(cameras) if options is None else options
     rng = np.random.default_rng(seed)
-    ids = opaque_ids(gaussians, options.min_opacity, options.neighbors)
+    ids = opaque_ids(gaussians)
     wanted = options.num_points // max(len(cameras), 1) + 1
     place = np.full(gaussians.num_gaussians + 1, -1, np.int32)  # Of each Gaussian among the kept ones; -1 stays -1.
     place[ids] = np.arange(len(ids))
-    rays = _draw_rays(cameras, pictures, place, round(options.oversampling * wanted), options.min_alpha, rng)
+    rays = _draw_rays(cameras, pictures, place, round(OVERSAMPLING * wanted), rng)
 
     kept = gs.take(gaussians, ids)
-    points, normals, crossed = _march(kept, rays, options)
+    points, normals, crossed = _march(kept, rays, options.level)
     ids = np.flatnonzero(crossed)
     if not len(ids):
         raise NoSurfaceError(
@@ -149,16 +148,16 @@ def surface_points(
     )
 
 
-def opaque_ids(gaussians: Gaussians, min_opacity: float, fewest: int) -> np.ndarray:
-    """`[K]` of the Gaussians above the opacity with finite parameters, or of all finite ones, were it under `fewest`.
+def opaque_ids(gaussians: Gaussians) -> np.ndarray:
+    """`[K]` of the finite Gaussians above `MIN_OPACITY`, or of all finite ones, were it under `NEIGHBORS`.
 
     Raises:
         InputError: No Gaussian is finite.
     """
     parameters = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities[:, None])
     finite = np.all([np.isfinite(np.asarray(values)).all(axis=1) for values in parameters], axis=0)
-    opaque = finite & (np.asarray(gs.opacities(gaussians)) > min_opacity)
-    kept = np.flatnonzero(opaque if opaque.sum() >= fewest else finite)
+    opaque = finite & (np.asarray(gs.opacities(gaussians)) > MIN_OPACITY)
+    kept = np.flatnonzero(opaque if opaque.sum() >= NEIGHBORS else finite)
     if not len(kept):
         raise NoSurfaceError(f"no surface to extract: none of {gaussians.num_gaussians} Gaussians is usable")
     return kept
@@ -177,39 +176,33 @@ def check_sizes(index: int, camera: Camera, picture: Picture) -> None:
     size = (camera.height, camera.width)
     shapes = {name: part.shape for name, part in picture._asdict().items() if part is not None}
     if any(shape[:2] != size for shape in shapes.values()):
-        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
-        raise ValueError(f"view {index}: {told} do not fit camera {size}")
+        sizes = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise ValueError(f"view {index}: {sizes} do not fit camera {size}")
 
 
-def shows_surface(picture: Picture, min_alpha: float) -> np.ndarray:
-    """`[H, W]` bool: covered by more than `min_alpha`, with a depth."""
+def shows_surface(picture: Picture) -> np.ndarray:
+    """`[H, W]` bool: covered by more than `MIN_ALPHA`, with a depth."""
     depth = np.asarray(picture.depth)
-    return (np.asarray(picture.alphas) > min_alpha) & (depth > 0) & np.isfinite(depth)
+    return (np.asarray(picture.alphas) > MIN_ALPHA) & (depth > 0) & np.isfinite(depth)
 
 
-def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, min_alpha: float, rng) -> Rays:
+def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng) -> Rays:
     """Random opaque pixels of every view, no pixel twice, back-projected at their centres."""
     views = [
-        _rays_of_view(index, camera, picture, place, rays_per_view, min_alpha, rng)
+        _rays_of_view(index, camera, picture, place, rays_per_view, rng)
         for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
     ]
     rays = [np.concatenate(parts) for parts in zip(*views, strict=True)] if views else [np.zeros((0, 3))]
     if not len(rays[0]):
         raise NoSurfaceError(
-            f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha}, a depth,"
+            f"no surface to extract: no pixel of {len(views)} views has alpha > {MIN_ALPHA}, a depth,"
             " and an owner that is opaque"
         )
     return Rays(*rays)
 
 
 def _rays_of_view(
-    index: int,
-    camera: Camera,
-    picture: Picture,
-    place: np.ndarray,
-    count: int,
-    min_alpha: float,
-    rng: np.random.Generator,
+    index: int, camera: Camera, picture: Picture, place: np.ndarray, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
     """Arrays (hits, directions, colours, view ids, owners) of one view."""
     check_sizes(index, camera, picture)
@@ -217,7 +210,7 @@ def _rays_of_view(
         hint = "draw pictures with gallery.pictures(..., with_owners=True), or leave them out"
         raise InputError(f"view {index}: its picture does not say which Gaussian each pixel hit; {hint}")
     depth, owners = np.asarray(picture.depth), place[picture.owners]
-    rows, columns = np.nonzero(shows_surface(picture, min_alpha) & (owners >= 0))
+    rows, columns = np.nonzero(shows_surface(picture) & (owners >= 0))
     drawn = rng.permutation(len(rows))[:count]
     rows, columns = rows[drawn], columns[drawn]
     hits, directions = world_points(camera, depth, rows, columns)
@@ -226,25 +219,20 @@ def _rays_of_view(
     return hits.astype(np.float32), directions.astype(np.float32), colors, views, owners[rows, columns]
 
 
-def _march(kept: Gaussians, rays: Rays, options: LevelSetOptions) -> tuple[np.ndarray, ...]:
+def _march(kept: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, ...]:
     """Points, outward normals and whether there is a crossing, of every ray, chunk by chunk."""
-    nearby = Neighborhood(kept, options.neighbors)
-    march = partial(
-        march_rays,
-        density_field.kernels(kept),
-        level=options.level,
-        samples=options.samples,
-        sigma_range=options.sigma_range,
-    )
+    nearby = Neighborhood(kept, NEIGHBORS)
+    how = {"level": level, "samples": SAMPLES, "sigma_range": SIGMA_RANGE}
+    march = partial(march_rays, density_field.kernels(kept), **how)
     total = len(rays.hits)
     found = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32), np.empty(total, bool)
-    for start in tqdm(range(0, total, options.chunk), desc="level set", unit="chunk", delay=QUIET):
+    for start in tqdm(range(0, total, CHUNK), desc="level set", unit="chunk", delay=QUIET):
         # The last chunk is padded with repetitions, so that all have one length and one compilation.
-        ids = np.minimum(np.arange(start, start + options.chunk), total - 1)
+        ids = np.minimum(np.arange(start, start + CHUNK), total - 1)
         around = nearby.of(rays.hits[ids], rays.owners[ids])
         part = jax.device_get(march(rays.hits[ids], rays.directions[ids], around))
         for whole, values in zip(found, part, strict=True):
-            whole[start : start + options.chunk] = values[: total - start]
+            whole[start : start + CHUNK] = values[: total - start]
     return found
 
 

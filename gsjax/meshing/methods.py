@@ -50,7 +50,7 @@ class MethodOptions:
             raise InputError(f"--cell {self.cell} is not a number above 0")
 
     @property
-    def given(self) -> frozenset[str]:
+    def set_names(self) -> frozenset[str]:
         """The names of the options that are not None."""
         return frozenset(each.name for each in fields(self) if getattr(self, each.name) is not None)
 
@@ -102,12 +102,12 @@ class DepthEvidence(Protocol):
         ...
 
     @property
-    def shown(self) -> Sequence[CoarseDepth]:
+    def rendered(self) -> Sequence[CoarseDepth]:
         """The coarse rendered depth of every view."""
         ...
 
     @property
-    def told(self) -> Mapping[int, CoarseDepth]:
+    def stereo(self) -> Mapping[int, CoarseDepth]:
         """By the view's index, multi-view stereo depth of its photo."""
         ...
 
@@ -137,8 +137,8 @@ METHODS: dict[str, MeshMethod] = {
             depths.normals_of,
             options.sampling.num_points,
             options.reconstruction,
-            shown=depths.shown,
-            told=depths.told,
+            rendered=depths.rendered,
+            stereo=depths.stereo,
             ids=ids,
         ),
         options=OF_POISSON,
@@ -168,7 +168,7 @@ def methods_of(method: str | Method, options: MethodOptions) -> dict[str, MeshMe
         chosen = {method: METHODS[method]}
     else:
         raise InputError(f"--method {method} is none of {', '.join((AUTO, *METHODS))}")
-    unread = options.given.difference(*(each.options for each in chosen.values()))
+    unread = options.set_names.difference(*(each.options for each in chosen.values()))
     for name in sorted(unread):
         readers = ", ".join(each for each in METHODS if name in METHODS[each].options)
         raise InputError(f"{_flag(name)} is an option of the method {readers}; {' and '.join(chosen)} does not read it")

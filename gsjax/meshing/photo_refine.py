@@ -1,4 +1,4 @@
-"""A mesh settles on its photos: every vertex moves along its normal to where the photos that see it agree best.
+"""Photometric vertex refinement: every vertex moves along its normal to where the photos that see it agree best.
 
 Gaussians are blended in the order of their centres, so that what they paint seems to lie above them: the best fit lies
 too deep, and a mesh made from it as well (docs/surface.md). The photos have no such bias. Plane sweeping does the same
@@ -21,7 +21,7 @@ from gsjax.scene import Frame
 from gsjax.scene.meshes import Mesh, vertex_normals
 
 LEAST_VIEWS = 3  # Two photos agree somewhere by chance.
-MOST_VIEWS = 100  # More tell little that is new; spread over the capture.
+MOST_VIEWS = 100  # More add little; spread over the capture.
 STEEPEST = 0.3  # Cosine between normal and ray under which a photo shows a vertex too slanted.
 BORDER = 2.0  # Pixels from a photo's edge within which nothing is read.
 ROUNDS = 3
@@ -35,7 +35,7 @@ def refine_on_photos(mesh: Mesh, frames: Sequence[Frame]) -> tuple[Mesh, dict[st
     """Move the vertices along their normals to where the photos agree.
 
     A vertex that fewer than three photos see, or that has no texture, follows its neighbours. Photos may be lighter or
-    darker than each other by a gain a channel. Masked pixels tell nothing, nor do those outside a matte.
+    darker than each other by a gain a channel. Masked pixels and those outside a matte are ignored.
 
     Args:
         mesh: Whose faces look outwards. Near the surface: within `reach` steps, 1.5 pixels.
@@ -52,19 +52,19 @@ def refine_on_photos(mesh: Mesh, frames: Sequence[Frame]) -> tuple[Mesh, dict[st
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_VIEWS, len(frames))).astype(int))
     frames = [frames[index] for index in chosen]
     differences = _laplacian(mesh)
-    with tqdm(total=(ROUNDS + 2) * len(frames), desc="settle", unit="view", delay=3.0) as bar:
+    with tqdm(total=(ROUNDS + 2) * len(frames), desc="refine on photos", unit="view", delay=3.0) as bar:
         survey = _survey(mesh, frames, np.zeros((1, mesh.num_vertices)), None, bar)
         seen, before, moved = survey.views >= LEAST_VIEWS, survey.variance[0], np.zeros(mesh.num_vertices)
-        settled, reach = mesh, REACH
+        moved_mesh, reach = mesh, REACH
         for _ in range(ROUNDS if seen.any() else 0):
             steps = STEP * np.arange(-reach, reach + 1)
-            survey = _survey(settled, frames, steps[:, None] * survey.pixel, survey.mean, bar)
+            survey = _survey(moved_mesh, frames, steps[:, None] * survey.pixel, survey.mean, bar)
             way = _agreed(survey, steps, differences)
-            offsets = (way * survey.pixel)[:, None] * vertex_normals(settled)
-            settled = replace(settled, vertices=(settled.vertices + offsets).astype(np.float32))
+            offsets = (way * survey.pixel)[:, None] * vertex_normals(moved_mesh)
+            moved_mesh = replace(moved_mesh, vertices=(moved_mesh.vertices + offsets).astype(np.float32))
             moved, reach = moved + way, max(reach // 2, 3)
-        after = _survey(settled, frames, np.zeros((1, mesh.num_vertices)), survey.mean, bar).variance[0]
-    return settled, {
+        after = _survey(moved_mesh, frames, np.zeros((1, mesh.num_vertices)), survey.mean, bar).variance[0]
+    return moved_mesh, {
         "seen_share": float(seen.mean()),
         "moved_px": _root_mean_square(moved[seen]),
         "before": 255 * _root_mean_square(np.sqrt(before[seen])),
@@ -82,14 +82,14 @@ class _Survey(NamedTuple):
 
 
 def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.ndarray | None, bar: tqdm) -> _Survey:
-    """Look at every vertex at `offsets` `[H, V]` along its normal, in every photo that sees it.
+    """Read every vertex at `offsets` `[H, V]` along its normal, in every photo that sees it.
 
     Args:
         mesh: The surface.
         frames: The photos.
         offsets: Scene units.
         mean: `[V, 3]` colours that the photos' gains are fitted to; None: photos as they are.
-        bar: Told of every photo.
+        bar: Advanced by every photo.
     """
     normals, cast = vertex_normals(mesh), ray_caster(mesh)
     vertices = mesh.vertices.astype(np.float64)
@@ -102,7 +102,7 @@ def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.n
     weight, pixel, views = np.zeros(size), np.zeros(size), np.zeros(size, np.int32)
     total, squares = np.zeros((count, size, 3), np.float32), np.zeros((count, size), np.float32)
 
-    def seen(frame: Frame) -> tuple[np.ndarray, ...]:
+    def observations(frame: Frame) -> tuple[np.ndarray, ...]:
         """Ids, their cosines, pixels in scene units, and `[H, n, 3]` colours less what they are about."""
         ids, cosine, distance = _visible(vertices, normals, frame, cast, thick)
         image, *masks = frame.pixels()
@@ -118,7 +118,7 @@ def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.n
             colors *= _gains(colors[middle], mean[ids], cosine)
         return ids, cosine, distance / np.sqrt(frame.K[0, 0] * frame.K[1, 1]), colors - about[ids]
 
-    for ids, cosine, footprint, colors in parallel_map(seen, frames):
+    for ids, cosine, footprint, colors in parallel_map(observations, frames):
         bar.update()
         share = cosine.astype(np.float32)
         total[:, ids] += share[:, None] * colors
@@ -198,9 +198,9 @@ def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix) 
     bend = np.maximum(before - 2 * at + after, 0)
     # The least point of the parabola through the three.
     offsets = steps[inner] + STEP * np.clip(0.5 * (before - after) / np.maximum(bend, GRAY**4), -1, 1)
-    told = (survey.views >= LEAST_VIEWS) & (lowest == inner)
-    typical = max(float(np.median(bend[told])) if told.any() else 0.0, GRAY**2)
-    evidence = np.where(told, np.minimum(bend / typical, 4), 0)
+    is_evident = (survey.views >= LEAST_VIEWS) & (lowest == inner)
+    typical = max(float(np.median(bend[is_evident])) if is_evident.any() else 0.0, GRAY**2)
+    evidence = np.where(is_evident, np.minimum(bend / typical, 4), 0)
     system = sparse.diags(evidence + 1e-6) + STIFFNESS * differences
     way, _ = cg(system, evidence * offsets, rtol=1e-4, maxiter=300)
     return way

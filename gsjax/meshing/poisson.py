@@ -66,7 +66,7 @@ class PoissonReport:
 class PoissonOptions:
     """The choices of the caller."""
 
-    depth: int | None = None  # of the octree; None: cells of twice the points' spacing or what the caller asks for
+    depth: int | None = None  # of the octree; None: cells of twice the points' spacing or what the caller requests
     trim: Trim | None = None  # None: `adaptive`
 
 
@@ -131,7 +131,7 @@ def octree_for_cell(extent: float, cell: float, scale: float) -> tuple[int, floa
     """Depth, from 6 to 10, and scale, at least the given one, of an octree whose finest cells are of side `cell`.
 
     An octree halves its cube, so the cube is made larger until a whole number of halvings fits. Cells are larger than
-    asked for where depth 10 is not enough, and smaller where 6 is too much.
+    requested where depth 10 is not enough, and smaller where 6 is too much.
 
     Args:
         extent: Longest side of the points' box, scene units.

@@ -175,7 +175,7 @@ class Crop:
 
 
 def crop_of(bounds: Sequence[float] | None, background: Sequence[float] | None, foreground_only: bool) -> Crop:
-    """Return the crop that options ask for, world coordinates.
+    """Return the crop that options request, world coordinates.
 
     Args:
         bounds: x0 y0 z0 x1 y1 z1 of the foreground. None: around the points.

@@ -55,7 +55,7 @@ class Selection(NamedTuple):
     """The method that was selected, and how it compares."""
 
     method: str
-    tried: dict[str, dict]  # method's name -> what the witness says of its mesh, and the `seconds` that that took
+    judgements: dict[str, dict]  # method's name -> what the witness says of its mesh, and the `seconds` that that took
 
 
 def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness) -> Selection:

@@ -30,7 +30,7 @@ def sharpened(
 
     Pixels at edges, at flat angles, and where Gaussians float before the surface say nothing, as in `texture_mesh`.
     The texels' mean converges to the texture whose pictures are nearest; the first two rounds bring most of what views
-    beside gain, later ones noise.
+    nearby gain, later ones noise.
 
     Args:
         textured: What is corrected.

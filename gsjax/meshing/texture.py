@@ -113,7 +113,7 @@ def filled_in(
 
 
 def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """`[F]` bool: triangles that face the camera and do not lie beside its image as a whole, or behind it."""
+    """`[F]` bool: triangles that face the camera and do not lie outside its image as a whole, or behind it."""
     viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
     center = viewmat_center(viewmat)
     is_facing = np.sum(normals * (center - mesh.vertices[mesh.faces[:, 0]]), axis=1) > 0
@@ -180,7 +180,7 @@ STEP = 256  # Sides are multiples of this.
 
 
 def texture_side(mesh: Mesh, cameras: Sequence[Camera], *, least: int, most: int) -> int:
-    """Side of the smallest texture that holds what the cameras tell apart on the surface, texels.
+    """Side of the smallest texture that holds what the cameras resolve on the surface, texels.
 
     Args:
         mesh: Outward triangles.
@@ -198,7 +198,7 @@ def texture_side(mesh: Mesh, cameras: Sequence[Camera], *, least: int, most: int
 def pixels_of_faces(mesh: Mesh, camera: Camera) -> np.ndarray:
     """`[F]` pixels that a triangle covers in a view, at its centre's distance and slant; what hides it is not asked.
 
-    0 of those that face away, lie beside the image or have their centre behind the camera; an image's at most.
+    0 of those that face away, lie outside the image or have their centre behind the camera; an image's at most.
     """
     viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
     corners = (mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3])[mesh.faces]

@@ -1,7 +1,7 @@
 """What structure from motion says of a mesh: a photo sees a point that was matched in it, and nothing before it.
 
 The point of a track lies on a surface, and the line to it from every photo of it is free. So a mesh shows that lacks a
-wall, that has a lump before it or that lies beside it. No method of meshing looks at tracks; but Gaussians begin at
+wall, that has a lump before it or that lies next to it. No method of meshing reads tracks; but Gaussians begin at
 their points, so a very short run may still have some there. And where there is no texture there are no tracks.
 """
 

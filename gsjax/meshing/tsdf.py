@@ -35,7 +35,7 @@ class DepthView:
     colors: np.ndarray  # [H, W, 3] uint8
 
 
-def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -> Method:
+def tsdf(*, voxel: float | None = None) -> Method:
     """Surface by fusion of depth, Open3D's on the CPU.
 
     What no view has seen stays open, and thin parts keep their thickness down to some voxels; noise of the depth stays
@@ -44,19 +44,16 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
     Args:
         voxel: Its side, scene units. None: the median Gaussian's largest standard deviation in the region, or a 512th
             of the region's longest side where that is larger.
-        min_alpha: Pixels covered less show no surface.
-        seed: Of the pixels that regions are chosen by.
     """
 
     def from_fused_depth(
         gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]
     ) -> SurfaceSamples:
         views, points = [], [np.zeros((0, 3))]
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
             level_set.check_sizes(index, camera, picture)
-            depth = np.where(np.asarray(picture.alphas) > min_alpha, np.asarray(picture.depth), 0)
-            depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+            depth = np.where(level_set.shows_surface(picture), picture.depth, 0).astype(np.float32)
             views.append(DepthView(camera, depth, to_bytes(np.asarray(picture.colors))))
             rows, columns = np.nonzero(depth)
             drawn = rng.permutation(len(rows))[:POINTS_PER_VIEW]
@@ -64,7 +61,7 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
         points = np.concatenate(points)
         if not len(points):
             raise NoSurfaceError(
-                f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha} and a depth"
+                f"no surface to extract: no pixel of {len(views)} views has alpha > {level_set.MIN_ALPHA} and a depth"
             )
 
         def build(region: Region) -> tuple[Mesh, dict]:

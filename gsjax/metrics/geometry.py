@@ -16,7 +16,7 @@ REACH_SHARE = 0.99  # Of the points that cameras saw, those that have another on
 
 SCORES = ("chamfer", "accuracy", "completeness", "precision", "recall", "fscore", "fscore_quarter", "fscore_half",
           "fscore_double", "normal_consistency", "outward_share", "threshold")  # fmt: skip
-"""What `compare_to_truth` and `compare_to_surface` tell of a mesh."""
+"""The scores of `compare_to_truth` and `compare_to_surface`."""
 
 Closest = Callable[[Mesh, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """(mesh, `[P, 3]` queries) -> `[P, 3]` nearest points of its surface and `[P]` the triangles that they lie on."""
@@ -135,7 +135,7 @@ def normal_error_degrees(rendered: np.ndarray, true: np.ndarray, mask: np.ndarra
 
     Args:
         rendered: `[H, W, 3]` of any length but zero; where it is zero, nothing was rendered: that counts as 90 degrees.
-        true: `[H, W, 3]`, zero where there is no truth; those pixels do not count.
+        true: `[H, W, 3]`, zero where there is no truth; those pixels have weight 0.
         mask: `[H, W]` bool, the pixels to score.
 
     Returns:

@@ -1,4 +1,4 @@
-"""How a mesh looks in held-out photos, beside the Gaussians that it came from at the same pixels."""
+"""How a mesh looks in held-out photos, compared with its Gaussians at the same pixels."""
 
 from dataclasses import replace
 from functools import partial
@@ -21,12 +21,12 @@ COVERED = 1 - 1e-6  # Of a pixel's rays, that must hit the mesh where it is comp
 def score_appearance(
     mesh: Mesh, shading: Shading, gaussians: Gaussians, frames: tuple[Frame, ...], background: str, found: PhotoEffects
 ) -> dict[str, Any]:
-    """Scores over the pixels that the mesh covers as a whole: what it leaves open is told, not scored.
+    """Scores over the pixels that the mesh covers as a whole: what it leaves open is reported, not scored.
 
     Args:
         mesh: The surface, in the frames' coordinates.
         shading: Its colours: `gsjax.meshing.pictures.texture_colors` of its texture, or `vertex_colors`.
-        gaussians: Beside which it is set.
+        gaussians: What it is compared with.
         frames: Photos that neither was made from.
         background: Of the Gaussians, as of `gsjax.metrics.photos.score_images`.
         found: As of `score_images`; its `appearances`, which see the answer or a photo's own tracks, are left out.

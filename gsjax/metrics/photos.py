@@ -49,8 +49,8 @@ def score_images(
         measures: Further ones by name. They see pictures in 0..1, both black where a pixel is not valid.
         found: What the photos' cameras did to the light, and what is behind all, where training took that in.
         align: Finds the pose that a photo was taken from; None: given poses are all that is scored.
-        depth_mode: Of the pictures' depth, which no score looks at.
-        observe: Told of every frame, of the photo `[H, W, 3]` that it is compared with, and of its picture.
+        depth_mode: Of the pictures' depth, which no score reads.
+        observe: Called with every frame, the photo `[H, W, 3]` that it is compared with, and its picture.
 
     Returns:
         `views`, and `psnr`, `ssim` and `measures` of the render as it is, with the exposure of the mean photo. With
@@ -144,11 +144,11 @@ def _as_taken(looks: Mapping[str, Appearance], frame: Frame, under: np.ndarray |
         return lambda picture: picture
     factor = looks[frame.name].factor(frame)
 
-    def taken(picture: Picture) -> Picture:
+    def as_taken(picture: Picture) -> Picture:
         behind = 0 if under is None else (1 - picture.alphas)[..., None] * under
         return picture._replace(colors=np.clip((picture.colors - behind) * factor + behind, 0, 1))
 
-    return taken
+    return as_taken
 
 
 @jax.jit

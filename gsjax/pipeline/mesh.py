@@ -115,7 +115,7 @@ def mesh(
     surface, report = _extract(methods[name], request, views, views.ids)
     report |= {"method": name, "tried": tried, "floaters": floaters, "holes": None, "settled": None}
     if holes_filled or methods[name].closes_holes:
-        surface, closed = fill_holes(surface, views.shown)
+        surface, closed = fill_holes(surface, views.rendered)
         report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
     if settled and data is not None:
         surface, report["settled"] = refine_on_photos(surface, data.train_frames)
@@ -179,7 +179,7 @@ def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshView
     trial = partial(_extract, request=request._replace(options=request.options.of_a_trial), views=views, ids=ids)
     selection = select_method({name: lambda m=m: trial(m)[0] for name, m in methods.items()}, witness)
     print(f"mesh: {selection.method}, by {witness.says}", file=sys.stderr)
-    print(tables.compare(selection.tried), file=sys.stderr)
+    print(tables.compare(selection.judgements), file=sys.stderr)
     return selection
 
 

@@ -69,7 +69,7 @@ class MeshViews:
 
     def without_floaters(self) -> tuple["MeshViews", int]:
         """Return the views of the Gaussians that do not hang in the air, and how many do."""
-        hang = are_floaters(self.result.gaussians, self.shown)
+        hang = are_floaters(self.result.gaussians, self.rendered)
         if not hang.any():
             return self, 0
         result = replace(self.result, gaussians=take(self.result.gaussians, ~hang))
@@ -77,20 +77,20 @@ class MeshViews:
         return MeshViews(result, self.data, **options), int(hang.sum())
 
     @cached_property
-    def shown(self) -> list[CoarseDepth]:
+    def rendered(self) -> list[CoarseDepth]:
         """The coarse rendered depth of every training view."""
         pictures = self.pictures() if self._are_stored else self._rendered(self.ids, with_owners=False)
         return list(map(coarse_depth, self.cameras, pictures))
 
     @cached_property
-    def told(self) -> dict[int, CoarseDepth]:
+    def stereo(self) -> dict[int, CoarseDepth]:
         """By the view's index, the multi-view stereo depth of its photo."""
         if self.data is None:
             return {}
         names = [self.result.names[index] for index in self.training]
         depths = depths_of_photos(self.data, MOST_COMPARED)
         print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
-        return {names.index(each.view.name): each.shown() for each in depths.accepted}
+        return {names.index(each.view.name): each.coarse() for each in depths.accepted}
 
     @cached_property
     def normals_of(self) -> NormalsOfDepth:

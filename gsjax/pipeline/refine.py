@@ -152,11 +152,11 @@ def refine(
         chosen = _kept(result, coarse, data) if rows is None else slice(rows - bound.num_gaussians)
         return refinement.initial_state(with_free(bound, take(result.gaussians, chosen)), optimizer)
 
-    told: dict[str, float] = {}
+    photo_report: dict[str, float] = {}
 
-    def settled(bound: BoundGaussians) -> BoundGaussians:
-        mesh, found = refine_on_photos(to_mesh(bound), frames)
-        told.update(found)
+    def move_mesh(bound: BoundGaussians) -> BoundGaussians:
+        mesh, report = refine_on_photos(to_mesh(bound), frames)
+        photo_report.update(report)
         return replace(bound, vertices=jnp.asarray(mesh.vertices))
 
     with runs.claim_run(folder):
@@ -172,11 +172,11 @@ def refine(
                 optimizer,
                 background=BACKGROUNDS[background] if behind is None else lambda key: behind,
                 observe=journal.note,
-                settled=settled,
+                move_mesh=move_mesh,
                 capacity=capacity,
             )
             summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
-            summary["settled"] = told or None
+            summary["settled"] = photo_report or None
             return _finish(folder, scene, background, found, state.gaussians, summary)
 
 

@@ -43,7 +43,7 @@ class PhotoDepth(NamedTuple):
     depth: Depth  # confident where another photo confirms it
     evidence: Evidence  # of the photo's matched points
 
-    def shown(self) -> CoarseDepth:
+    def coarse(self) -> CoarseDepth:
         """Return the confident depth as that of a view."""
         height, width = self.view.gray.shape
         camera = Camera(self.view.viewmat, self.view.K, width, height)

@@ -2,8 +2,7 @@
 
 XLA calls a C function with a frame (`xla/ffi/api/c_api.h`, which jaxlib ships; version 0.3); what is read of it here
 are words at fixed places. No Python runs in a call, and no lock of Python's is taken. The work is shared with XLA's own
-threads: whoever is free takes the next item. A thread that comes late finds nothing left, so that nobody ever waits for
-one that is busy elsewhere.
+threads: a free thread takes the next item. A late thread finds no item left, so that no thread waits for a busy one.
 """
 
 from numba import types
@@ -106,7 +105,7 @@ def release(address):
 
 @inlined
 def only_introduces(frame):
-    """Whether XLA only asks which version of its interface this is written for. It is told on the way."""
+    """Whether XLA only requests the version of its interface that this is written for, which is then written."""
     extension = word(frame, _EXTENSION)
     if extension == 0 or as_int32s(extension)[2] != 1:
         return False
@@ -147,7 +146,7 @@ def share(frame, task, job, items):
     set_word(shared, _DONE, 0)
     set_word(shared, _ITEMS, items)
     set_word(shared, _JOB, job)
-    fetch_add(shared + 8 * _HOLDERS, _asked(frame, task, shared, helpers) - helpers)
+    fetch_add(shared + 8 * _HOLDERS, _schedule_helpers(frame, task, shared, helpers) - helpers)
     call(task, shared)
     while fetch_add(shared + 8 * _DONE, 0) < items:
         call(address_of("rasterizer_give_way"), 0)
@@ -163,7 +162,7 @@ def job_of(shared):
 
 @inlined
 def next_item(shared):
-    """An item that nobody has taken, or -1."""
+    """An item that no thread has taken, or -1."""
     item = fetch_add(shared + 8 * _NEXT, 1)
     return item if item < word(shared, _ITEMS) else -1
 
@@ -184,7 +183,7 @@ def let_go(shared):
 
 @inlined
 def _threads(frame):
-    """Threads that XLA has, this one among them; 1 where it does not tell."""
+    """Threads that XLA has, this one among them; 1 where the number is unknown."""
     count, request = words_on_stack(1), words_on_stack(4)
     set_word(count, 0, 1)
     set_word(request, 0, 32)
@@ -196,17 +195,17 @@ def _threads(frame):
 
 
 @inlined
-def _asked(frame, task, shared, helpers):
-    """How many threads were asked for help."""
+def _schedule_helpers(frame, task, shared, helpers):
+    """How many threads were scheduled to help."""
     request = words_on_stack(5)
     set_word(request, 0, 40)
     set_word(request, 1, 0)
     set_word(request, 2, word(frame, _CONTEXT))
     set_word(request, 3, task)
     set_word(request, 4, shared)
-    for asked in range(helpers):
+    for scheduled in range(helpers):
         if _forget(frame, call(word(word(frame, _API), _SCHEDULE), request)):
-            return asked
+            return scheduled
     return helpers
 
 

@@ -24,7 +24,7 @@ logger = logging.getLogger("rasterizer")
 
 
 def cache_folder() -> Path:
-    """Where NUMBA_CACHE_DIR says, else beside the programs that XLA compiled."""
+    """The folder that NUMBA_CACHE_DIR names, else one next to the programs that XLA compiled."""
     if config.CACHE_DIR:
         return Path(config.CACHE_DIR)
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -49,7 +49,7 @@ def _writable_folder() -> Path | None:
 FOLDER = _writable_folder()
 OPTIONS: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
 
-# Compiled once, and inlined by LLVM wherever it is called. Nobody calls it from Python, which saves its wrappers.
+# Compiled once, and inlined by LLVM wherever it is called. Python never calls it, which saves its wrappers.
 INLINED = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **OPTIONS}
 inlined = numba.njit(**INLINED)
 

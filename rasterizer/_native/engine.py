@@ -72,7 +72,7 @@ def _listed(
     projection: Projection, opacities: Array, grid: TileGrid, rules: Rules, masks: Array | None
 ) -> tuple[Array, ...]:
     """What the lists are made of: the arguments of `lists.lists`, not differentiable."""
-    # In float32, whatever comes: the lists only say what is looked at.
+    # In float32, whatever comes: the lists only name what is blended.
     p = jax.tree.map(lambda x: jax.lax.stop_gradient(_single(x)), projection)
     opacities = jax.lax.stop_gradient(_single(opacities))
     cuts = sigma_cuts(jnp.broadcast_to(opacities, p.depths.shape), rules)
@@ -98,7 +98,7 @@ def bin_splats(
     rules: Rules,
     masks: Array | None = None,
 ) -> TilePairs:
-    """`binning.bin_splats` as native loops: the same lists. Slots that nobody needs are not even written."""
+    """`binning.bin_splats` as native loops: the same lists. Slots past them are not written."""
     results = (
         jax.ShapeDtypeStruct((capacity,), np.int32),
         jax.ShapeDtypeStruct((grid.num_tiles + 1,), np.int32),

@@ -42,7 +42,7 @@ floats_at, int32s_at = map(_numbers_at, (types.float32, types.int32))  # (pointe
 
 @intrinsic
 def prefetch(typingctx, pointer):
-    """Asks for the numbers at a place, which are wanted soon. Any address will do."""
+    """Requests the numbers at a place ahead of their use. Any address is allowed."""
 
     def codegen(context, builder, signature, arguments):
         place = builder.bitcast(arguments[0], ir.IntType(8).as_pointer())

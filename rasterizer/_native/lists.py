@@ -133,7 +133,7 @@ def tile_range(center, reach, side, limit):
 
 
 @inlined
-def given(job, place):
+def list_argument(job, place):
     """The record of an argument of `lists`."""
     return word(word(job, _ARGUMENTS), place)
 
@@ -175,10 +175,10 @@ def band_of(row, rows):
 def write_chunk(job, chunk):
     """Writes where some of the ordered splats are, one after the other, so that the bands read them in one sweep."""
     shown, order = word(job, _SHOWN), as_int32s(word(job, _ORDER))
-    means2d, conics = floats(given(job, 0)), floats(given(job, 1))
-    extents, cuts, sizes = floats(given(job, 3)), floats(given(job, 5)), int32s(given(job, 7))
+    means2d, conics = floats(list_argument(job, 0)), floats(list_argument(job, 1))
+    extents, cuts, sizes = floats(list_argument(job, 3)), floats(list_argument(job, 5)), int32s(list_argument(job, 7))
     across, down, side = np.float32(sizes[_ACROSS]), np.float32(sizes[_DOWN]), np.float32(sizes[_SIDE])
-    per_camera = max(length(given(job, 2), 0) // sizes[_CAMERAS], 1)
+    per_camera = max(length(list_argument(job, 2), 0) // sizes[_CAMERAS], 1)
     for k in range(shown * chunk // CHUNKS, shown * (chunk + 1) // CHUNKS):
         splat, later = np.int64(order[k]), np.int64(order[min(k + AHEAD, shown - 1)])
         prefetch(floats_at(means2d, 2 * later))
@@ -204,7 +204,7 @@ def write_chunk(job, chunk):
 
 @inlined
 def share_out(job):
-    """Counts the splats of every band and tells where they begin; returns the tiles of all boxes together."""
+    """Counts the splats of every band and writes where they begin; returns the tiles of all boxes together."""
     starts = as_int64s(job + 8 * _STARTS)
     tiles = 0
     for band in range(BANDS + 1):
@@ -247,7 +247,7 @@ def is_listed(ellipse, column, row, side, masks, masked, tile):
 def list_band(job, band, filling):
     """Counts the splats of every tile of a band; or, where these are known, writes its lists."""
     starts, members = as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
-    sizes, masks, masked = int32s(given(job, 7)), flags(given(job, 6)), length(given(job, 6), 0)
+    sizes, masks, masked = int32s(list_argument(job, 7)), flags(list_argument(job, 6)), length(list_argument(job, 6), 0)
     splats, capacity = as_int32s(word(job, SPLATS)), word(job, _CAPACITY)
     counts = as_int64s(word(job, _COUNTS))
     across, rows, side = np.int64(sizes[_ACROSS]), np.int64(sizes[_DOWN]) * sizes[_CAMERAS], np.int64(sizes[_SIDE])
@@ -335,7 +335,7 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
     set_word(job, SPLATS, splats)
     set_word(job, _CAPACITY, capacity)
     set_word(job, OFFSETS, offsets if offsets != 0 else allocate(4 * (tiles + 1)))
-    count = length(given(job, 2), 0)
+    count = length(list_argument(job, 2), 0)
     at_order, at_work = allocate(4 * count), allocate(12 * count)
     at_records, at_spans, at_counts = allocate(LINE * (count + 1)), allocate(SPAN * count), allocate(8 * tiles)
     at_members = 0
@@ -347,7 +347,7 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
         set_word(job, _RECORDS, (at_records + LINE - 1) // LINE * LINE)
         set_word(job, _SPANS, at_spans)
         set_word(job, _COUNTS, at_counts)
-        depths, visible = int32s(given(job, 2)), flags(given(job, 4))
+        depths, visible = int32s(list_argument(job, 2)), flags(list_argument(job, 4))
         shown = order_by_depth(depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count))
         set_word(job, _SHOWN, shown)
         done = share_step(job, _WRITE, CHUNKS)

@@ -103,7 +103,7 @@ def gather(rows, count, on, in_front, splats, pairs, alpha_min, places, ids, nea
     Args:
         rows: `[count, GEOMETRY + on + in_front]` all splats.
         count: How many.
-        on: Channels that go on to the end.
+        on: Channels that are blended to the end.
         in_front: Channels that end in front.
         splats: `[pairs]` the band's lists.
         pairs: How many.
@@ -156,7 +156,7 @@ def int32s_of(job, place):
 
 @inlined
 def shape_of(job):
-    """Splats, channels that go on, channels that end in front, numbers of a copied row, and side of a tile."""
+    """Splats, channels blended to the end, channels that end in front, numbers of a copied row, and side of a tile."""
     sizes, given = int32s_of(job, _SIZES), word(job, _GIVEN)
     in_front = np.int64(sizes[_IN_FRONT])
     on = given - GEOMETRY - in_front
@@ -233,7 +233,7 @@ def unblend_band(job, band):
 
 @inlined
 def add_chunk(job, chunk):
-    """Adds what the bands summed for some of the rows, and goes on to rows as `compositing.chain_to_rows` does."""
+    """Adds what the bands summed for some of the rows, and applies the chain rule of `compositing.chain_to_rows`."""
     rows, d_rows, given = floats_of(job, _ROWS), floats_of(job, _D_ROWS), word(job, _GIVEN)
     count, on, in_front, width, _ = shape_of(job)
     through = at_least_three(on)

@@ -1,8 +1,8 @@
 """One tile at a time, front to back and back to front.
 
 Its pixels lie in the first cache, eight side by side: what is known of eight pixels is one block of numbers, so that
-LLVM makes a vector of each and finds all of them at one address. Of a tile's rows, only those that a splat's ellipse
-reaches are looked at.
+LLVM makes a vector of each and finds all of them at one address. Only the rows of a tile that a splat's ellipse reaches
+are visited.
 """
 
 import numpy as np
@@ -35,19 +35,19 @@ BLOCKS = MAX_SIDE * MAX_SIDE // LANES * BLOCK  # the numbers of a tile
 
 GEOMETRY, REACH, CHANNELS = 6, 6, 7  # of a row: mean, conic, opacity; how far it reaches along y; its channels
 PART_LANES = (GEOMETRY + MAX_CHANNELS + THREE) * LANES  # sums of a splat over a tile, a number a lane each
-LOOK = 8  # splats between two looks at whether every pixel has stopped
+LOOK = 8  # splats between two checks whether every pixel has stopped
 FAR, MARGIN = 1e9, np.float32(1e-3)  # pixels
 
 
 @inlined
 def at_least_three(on):
-    """Channels that go on to the end, with those of zeros that are added to have three."""
+    """Channels that are blended to the end, with those of zeros that are added to have three."""
     return max(on, THREE)
 
 
 @inlined
 def reach_along_y(conic_xx, conic_xy, conic_yy, opacity, alpha_min):
-    """How far from its mean a splat's alpha can pass the cut, pixels; `FAR` where the conic's digits do not tell."""
+    """How far from its mean a splat's alpha can pass the cut, pixels; `FAR` where the conic has too few digits."""
     xx, xy, yy = np.float64(conic_xx), np.float64(conic_xy), np.float64(conic_yy)
     # Less what the rounding of the conic's three numbers can add to the determinant, four times over.
     det = xx * yy * (1 - 2.0**-21) - xy * xy
@@ -101,7 +101,7 @@ def all_stopped(blocks, side):
 
 @inlined
 def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, alone):
-    """Blends a list onto blocks; `alone`, a literal: only three channels, and no median, are asked for."""
+    """Blends a list onto blocks; `alone`, a literal: only three channels, and no median, are computed."""
     of_row, width = blocks_of_row(side), CHANNELS + through + until
     weights, in_front = floats_on_stack(LANES), floats_on_stack(LANES)
     for k in range(count):
@@ -146,9 +146,9 @@ def blend_tile(
         center_x: Of the tile, pixels of the image.
         center_y: The same along y.
         side: Of the tile, pixels.
-        on: Channels that go on to the end; they come first.
+        on: Channels that are blended to the end; they come first.
         in_front: Channels that end in front.
-        with_median: Whether the median is asked for; else nothing that is read is written there.
+        with_median: Whether the median is computed; else what is written there means nothing.
         rules: `Thresholds`.
         features: `[D, P]`, written.
         light: `[P]`, written: what is left of it.
@@ -258,7 +258,7 @@ def unblend_tile(rows, splats, center_x, center_y, side, on, in_front, rules, li
         center_x: Of the tile.
         center_y: The same along y.
         side: Of the tile.
-        on: Channels that go on to the end.
+        on: Channels that are blended to the end.
         in_front: Channels that end in front.
         rules: `Thresholds`.
         light: `[P]`, as `blend_tile` wrote it.

@@ -24,7 +24,7 @@ def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> b
     Args:
         mesh: What to write.
         place: What is known of the world that it lies in, for the extras of the asset.
-        unlit: Whether viewers are told to show the colours as they are: photos hold their light.
+        unlit: Whether viewers are to show the colours as they are: photos hold their light.
     """
     linear = np.ones((mesh.num_vertices, 4))
     linear[:, :3] = srgb_to_linear(mesh.colors / 255)

@@ -24,7 +24,7 @@ from gsjax.scene.colors import srgb_to_linear
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 CHANNELS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 TRIANGLES, STRIP, FAN = 4, 5, 6  # Modes of primitives; all others are points and lines.
-CLAMPED, MIRRORED = 33071, 33648  # How a texture goes on outside 0..1; otherwise it is repeated.
+CLAMPED, MIRRORED = 33071, 33648  # How a texture is continued outside 0..1; otherwise it is repeated.
 # Extensions that are read here, or without which the triangles and their colours are the same.
 READ = ("KHR_materials_", "EXT_materials_", "KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp")
 SPECULAR_GLOSSINESS, TRANSFORM = "KHR_materials_pbrSpecularGlossiness", "KHR_texture_transform"
@@ -36,7 +36,7 @@ def read_glb(path: Path, named: NamedFiles) -> list[Part]:
 
     Args:
         path: The file.
-        named: The files beside it.
+        named: The files in its folder.
 
     Raises:
         InputError: It cannot be read, or its triangles need an extension that is not read here, or are not in it.

@@ -55,7 +55,7 @@ def read_obj(path: Path, named: NamedFiles) -> list[Part]:
 
     Args:
         path: The file.
-        named: The files beside it.
+        named: The files in its folder.
 
     Raises:
         InputError: It cannot be read, a line is none of an OBJ (its number is named), or an index is beyond its rows.

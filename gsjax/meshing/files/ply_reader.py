@@ -23,7 +23,7 @@ def read_ply(path: Path, named: NamedFiles) -> list[Part]:
 
     Args:
         path: The file.
-        named: The files beside it.
+        named: The files in its folder.
 
     Raises:
         InputError: It cannot be read.

@@ -94,7 +94,7 @@ def refined(scene, *, capacity, state=None):
         optimizer,
         background=BACKGROUNDS["black"],
         observe=observe,
-        settled=raised,
+        move_mesh=raised,
         capacity=capacity,
     )
     return SimpleNamespace(final=jax.tree.map(np.asarray, final), progress=progress, settled=settled)

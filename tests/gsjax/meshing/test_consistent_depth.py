@@ -114,7 +114,7 @@ def test_what_a_photo_tells_takes_the_place_of_the_rendered_depth():
 def test_the_mesh_of_a_ball_is_a_ball(ball):
     cameras, pictures = ball.views
     shown = list(map(coarse_depth, cameras, pictures))
-    method = consistent_poisson(smoothed_depth_normals, 100_000, shown=shown, told={})
+    method = consistent_poisson(smoothed_depth_normals, 100_000, rendered=shown, stereo={})
     mesh, report = extract_mesh(ball.gaussians, cameras, pictures, method=method)
     assert np.quantile(np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1), 0.99) < 0.05
     assert report["seen"]["photos_that_tell"] == 0

@@ -47,7 +47,7 @@ def wall(small: int) -> Gaussians:
 def test_a_wall_crosses_whatever_lies_on_it(small):
     gaussians = wall(small)
     pictures = list(gallery.pictures(gaussians, [WALL], np.zeros(3), with_owners=True))
-    surface = level_set.surface_points(gaussians, [WALL], pictures, LevelSetOptions(num_points=4096, min_opacity=0.5))
+    surface = level_set.surface_points(gaussians, [WALL], pictures, LevelSetOptions(num_points=4096))
     assert surface.rays == 64 * 64
     assert surface.crossing_share > 0.99
     assert np.abs(surface.points[:, 2]).max() < 0.01

@@ -24,7 +24,7 @@ def chosen(margin=0.05, **shares: Any):
 
     methods = {name: lambda name=name: extract(name) for name in shares}
     found = select_method(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin))
-    assert {name: one["agrees"] for name, one in found.tried.items()} == {
+    assert {name: one["agrees"] for name, one in found.judgements.items()} == {
         name: share for name, share in shares.items() if share is not None
     }
     return found.method

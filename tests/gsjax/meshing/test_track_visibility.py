@@ -91,7 +91,7 @@ def test_the_whole_wall_is_chosen_and_a_method_without_surface_passed_by(lines):
     candidates = {name: lambda m=mesh: m for name, mesh in ways.items()}
     choice = select_method({"empty": empty} | candidates, by_tracks(lines))
     assert choice.method == "whole"
-    assert list(choice.tried) == ["lumps", "whole", "part"]
-    assert choice.tried["whole"]["met"] == 1 > choice.tried["lumps"]["met"] > choice.tried["part"]["met"]
+    assert list(choice.judgements) == ["lumps", "whole", "part"]
+    assert choice.judgements["whole"]["met"] == 1 > choice.judgements["lumps"]["met"] > choice.judgements["part"]["met"]
     with pytest.raises(NoSurfaceError, match="nothing"):
         select_method({"empty": empty}, by_tracks(lines))

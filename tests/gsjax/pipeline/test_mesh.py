@@ -172,14 +172,14 @@ def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch
 
     def told_by(data, most):
         assert data == "of the photos" and most == 100
-        each = [SimpleNamespace(view=SimpleNamespace(name=f"{n}.png"), shown=lambda: empty) for n in (2, 5, 9)]
+        each = [SimpleNamespace(view=SimpleNamespace(name=f"{n}.png"), coarse=lambda: empty) for n in (2, 5, 9)]
         return SimpleNamespace(accepted=each, line="3 of 9 photos")
 
     monkeypatch.setattr(mesh_views, "depths_of_photos", told_by)
     views = partial(mesh_views.MeshViews, with_owners=False, several_passes=True)
-    assert views(result, "of the photos").told == {2: empty, 4: empty, 8: empty}
+    assert views(result, "of the photos").stereo == {2: empty, 4: empty, 8: empty}
     assert capsys.readouterr().err == "mesh: depth that photos agree about: 3 of 9 photos\n"
-    assert views(result, None).told == {}
+    assert views(result, None).stereo == {}
 
 
 @pytest.mark.parametrize(("selected", "holes"), [("agreed", True), ("tsdf", False)])
@@ -246,7 +246,7 @@ def test_pictures_that_memory_does_not_hold_are_rendered_again_and_are_the_same(
         np.testing.assert_allclose(ours.colors, theirs.colors, atol=0.5 / 255 + 1e-6)
         for name in ("depth", "alphas", "owners"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-    for ours, theirs in zip(views[0].shown, views[1].shown, strict=True):
+    for ours, theirs in zip(views[0].rendered, views[1].rendered, strict=True):
         np.testing.assert_array_equal(ours.depth, theirs.depth)
     assert views[0].spread(4) == [0, 3, 6, 9] and views[0].spread(20) == list(range(10))
 

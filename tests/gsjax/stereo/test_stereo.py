@@ -81,7 +81,7 @@ def test_every_photo_tells_the_depth_of_the_wall():
     assert [each.view.name for each in found.accepted] == [frame.name for frame in WALL.frames]
     assert found.line.startswith("5 of 5 photos; 100% of")
     for each in found.accepted:
-        shown = each.shown()
+        shown = each.coarse()
         assert shown.depth.shape == (shown.camera.height, shown.camera.width) == SIZE[::-1]
         assert 0.3 < (shown.depth > 0).mean() < 1
         assert np.abs(shown.depth[shown.depth > 0] - AWAY).max() < 0.03 * AWAY
