@@ -9,9 +9,10 @@ GREY = (90, 90, 90)
 
 
 def mesh_of(vertices, faces, color=GREY) -> Mesh:
-    """A mesh of anything array-like, of one colour."""
+    """A mesh of anything array-like, of one colour or a colour a vertex."""
     vertices = np.asarray(vertices, np.float32)
-    return Mesh(vertices, np.asarray(faces, np.int32), np.tile(np.uint8([color]), (len(vertices), 1)))
+    colors = np.broadcast_to(np.asarray(color, np.uint8), vertices.shape)
+    return Mesh(vertices, np.asarray(faces, np.int32), np.ascontiguousarray(colors))
 
 
 def tetrahedron(offset=(0.0, 0.0, 0.0)) -> Mesh:

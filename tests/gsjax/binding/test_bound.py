@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import mesh_of
 from scipy.spatial.transform import Rotation
 from small_scenes import camera_at
 from tolerances import assert_close
@@ -22,11 +23,6 @@ from gsjax.training.initialize import DEAD_LOGIT
 
 THICKNESS = 0.003
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3**0.5 / 2, 0]])  # equilateral, edge 1, normal +z
-
-
-def mesh_of(vertices, faces, colors=None) -> Mesh:
-    colors = np.full((len(vertices), 3), 128) if colors is None else colors
-    return Mesh(np.asarray(vertices, np.float32), np.asarray(faces, np.int32), np.asarray(colors, np.uint8))
 
 
 def crumpled(seed=0) -> Mesh:

@@ -1,4 +1,3 @@
-import json
 import os
 import re
 import struct
@@ -7,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from glb_chunks import glb_chunks, glb_of
 from PIL import Image
 
 from gsjax.errors import InputError
@@ -45,8 +45,7 @@ def test_round_trip_through_obj_keeps_float32(tmp_path, mesh):
 
 def test_glb_holds_the_scenes_own_axes(tmp_path, mesh):
     write_mesh(tmp_path / "m.glb", mesh)
-    data = (tmp_path / "m.glb").read_bytes()
-    header = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
+    header, _ = glb_chunks((tmp_path / "m.glb").read_bytes())
     position = header["accessors"][header["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
     np.testing.assert_allclose(position["min"], mesh.vertices.min(0), rtol=1e-6)
     np.testing.assert_allclose(position["max"], mesh.vertices.max(0), rtol=1e-6)
@@ -181,8 +180,7 @@ def test_obj_keeps_the_vertices_and_their_colours_beside_the_texture(tmp_path, t
 
 def test_textured_glb_is_unlit_and_nothing_is_multiplied_with_the_texture(tmp_path, textured):
     write_textured(tmp_path / "m.glb", textured)
-    data = (tmp_path / "m.glb").read_bytes()
-    header = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
+    header, binary = glb_chunks((tmp_path / "m.glb").read_bytes())
     (material,), (image,) = header["materials"], header["images"]
     assert "KHR_materials_unlit" in material["extensions"]
     assert header["extensionsUsed"] == ["KHR_materials_unlit"]
@@ -194,8 +192,8 @@ def test_textured_glb_is_unlit_and_nothing_is_multiplied_with_the_texture(tmp_pa
     # glTF's v counts from above, as ours does.
     accessor = header["accessors"][primitive["attributes"]["TEXCOORD_0"]]
     view = header["bufferViews"][accessor["bufferView"]]
-    start = 20 + struct.unpack("<I", data[12:16])[0] + 8 + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    stored = np.frombuffer(data, np.float32, accessor["count"] * 2, start).reshape(-1, 2)
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    stored = np.frombuffer(binary, np.float32, accessor["count"] * 2, start).reshape(-1, 2)
     np.testing.assert_allclose(stored, textured.atlas.uvs, atol=1e-6)
 
 
@@ -229,14 +227,9 @@ def _without_view(tree):
 )
 def test_a_glb_whose_triangles_are_not_in_it_is_refused(tmp_path, mesh, change, fault):
     write_mesh(tmp_path / "m.glb", mesh)
-    content = (tmp_path / "m.glb").read_bytes()
-    length = struct.unpack("<I", content[12:16])[0]
-    tree = json.loads(content[20 : 20 + length])
+    tree, binary = glb_chunks((tmp_path / "m.glb").read_bytes())
     change(tree)
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    parts = struct.pack("<I4s", len(text), b"JSON") + text + content[20 + length :]
-    (tmp_path / "m.glb").write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(parts)) + parts)
+    (tmp_path / "m.glb").write_bytes(glb_of(tree, binary))
     if fault is None:
         np.testing.assert_array_equal(read_mesh(tmp_path / "m.glb").faces, mesh.faces)
     else:

@@ -1,10 +1,8 @@
 """Vertex colours of GLB files against glTF's definition: COLOR_0 is linear."""
 
-import json
-import struct
-
 import numpy as np
 import pytest
+from glb_chunks import glb_chunks, glb_of
 
 from gsjax.meshing import read_mesh, write_mesh
 from gsjax.meshing.files import glb
@@ -24,23 +22,10 @@ def light(colors):
     return np.array([v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in np.ravel(colors) / 255])
 
 
-def parts(content):
-    """The JSON of a GLB and its binary chunk."""
-    length = struct.unpack("<I", content[12:16])[0]
-    return json.loads(content[20 : 20 + length]), content[28 + length :]
-
-
-def repacked(tree, binary):
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
-
-
 @pytest.mark.parametrize("unlit", [False, True])
 def test_the_file_holds_light_in_normalized_16_bits(unlit):
     mesh = every_value()
-    tree, binary = parts(glb.encode_glb(mesh, unlit=unlit))
+    tree, binary = glb_chunks(glb.encode_glb(mesh, unlit=unlit))
     (primitive,) = tree["meshes"][0]["primitives"]
     accessor = tree["accessors"][primitive["attributes"]["COLOR_0"]]
     assert (accessor["componentType"], accessor["normalized"], accessor["type"]) == (5123, True, "VEC4")
@@ -64,7 +49,7 @@ def test_every_value_comes_back_as_it_was(tmp_path):
 def test_files_of_others_hold_light_too_in_floats_or_in_8_bits(tmp_path, component, kind, unit, atol):
     """8 bits of light are few where it is dark: sRGB 12 and 13 are one of them."""
     mesh = every_value()
-    tree, binary = parts(glb.encode_glb(mesh))
+    tree, binary = glb_chunks(glb.encode_glb(mesh))
     values = unit * light(mesh.colors).reshape(-1, 3)
     stored = np.ones((256, 4), kind)
     stored[:, :3] = values if component == 5126 else np.rint(values)
@@ -74,7 +59,7 @@ def test_files_of_others_hold_light_too_in_floats_or_in_8_bits(tmp_path, compone
     tree["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": stored.nbytes})
     binary += stored.tobytes()
     tree["buffers"][0]["byteLength"] = len(binary)
-    (tmp_path / "m.glb").write_bytes(repacked(tree, binary))
+    (tmp_path / "m.glb").write_bytes(glb_of(tree, binary))
     np.testing.assert_allclose(read_mesh(tmp_path / "m.glb").colors.astype(int), mesh.colors, atol=atol)
 
 

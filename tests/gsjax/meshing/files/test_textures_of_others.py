@@ -1,12 +1,11 @@
 """One square of four colours, as other programs write it: read right, or in one line that says what is missing."""
 
-import json
 import math
-import struct
 from io import BytesIO
 
 import numpy as np
 import pytest
+from glb_chunks import glb_of
 from PIL import Image
 
 from gsjax.errors import InputError
@@ -180,10 +179,7 @@ def glb(folder, *, uvs=UVS, kind="<f4", name="TEXCOORD_0", beside=None, info=Non
         "textures": [{"source": 0, **({} if sampler is None else {"sampler": 0})}], "samplers": [sampler or {}],
         "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(blob)}], **tree,
     }  # fmt: skip
-    text = json.dumps(content).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
-    (folder / "a.glb").write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
+    (folder / "a.glb").write_bytes(glb_of(content, blob))
     return folder / "a.glb"
 
 
