@@ -8,7 +8,6 @@ harmonics in 8 bits between -4 and 4. A pixel filter is stated as in a plain PLY
 
 from pathlib import Path
 
-import jax
 import numpy as np
 
 from gsjax.errors import InputError
@@ -22,6 +21,7 @@ from gsjax.io.packing import (
     morton_order,
     of_smallest_three,
     opacity_bytes,
+    packed_gaussians,
     pull_in_outliers,
     smallest_three,
     unit_quats,
@@ -136,7 +136,8 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
     rest = stack_columns(harmonics, rest_names(path, harmonics.dtype.names or ()))
     inside = (rest > 0) & (rest < 255)
-    read = Gaussians(
+    return packed_gaussians(
+        path,
         means=unpacked(vertices["packed_position"], _MEANS, _IN_SPACE),
         quats=of_smallest_three(largest, (three - 0.5) / np.sqrt(0.5)),
         log_scales=unpacked(vertices["packed_scale"], _SCALES, _IN_SPACE),
@@ -145,11 +146,6 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
         sh_rest=from_rest_columns((np.where(inside, (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST),
         pixel_filter=read_filter(header),
     )
-    with np.errstate(over="ignore"):
-        read = jax.tree.map(lambda values: values.astype(np.float32), read)
-    if not all(np.isfinite(values).all() for values in jax.tree.leaves(read)):
-        raise InputError(f"{path}: bounds of a chunk, or harmonics, are beyond what float32 holds")
-    return read
 
 
 def _header(count: int, width: int, comments: list[str]) -> list[str]:

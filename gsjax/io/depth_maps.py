@@ -14,6 +14,7 @@ from gsjax.io import json_files
 from gsjax.io.arrays import headers, read_arrays
 from gsjax.io.bad_items import leave_out, read_usable
 from gsjax.io.depth_windows import Window, on_grid, window_of
+from gsjax.io.image_folders import files_of_photos
 from gsjax.io.images import cv2, image_size
 from gsjax.io.normal_maps import map_places
 from gsjax.scene import DepthFile, Frame
@@ -75,11 +76,11 @@ def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tup
     folder = next((place for place in (Path(scene) / given, Path(given)) if place.is_dir()), None)
     if folder is None:
         raise InputError(f"--depth {given}: no such folder of depth maps, in {scene} or here")
-    places = map_places(frames)
-    files = {frame.name: _file(folder, str(places[frame.name]), frame.name) for frame in frames}
-    existing_files = {name: file for name, file in files.items() if file is not None}
+    existing_files = files_of_photos(folder, (frame.name for frame in frames), _SUFFIXES)
     if not existing_files:
-        raise InputError(f"{folder}: no depth map in it has the name of a photo, as {places[frames[0].name]}.png")
+        raise InputError(
+            f"{folder}: no depth map in it has the name of a photo, as {map_places(frames)[frames[0].name]}.png"
+        )
     unit = unit or _stated_unit(folder)
     return _opened(folder, existing_files, unit, METRES.get(unit), frames)
 
@@ -122,11 +123,6 @@ def _opened(
     read = {name: read for name, (_, _, read) in maps}
     windows = {name: window for name, (window, _, _) in maps}
     return DepthMaps(folder, unit, metres, read, windows, f"{told[0]}{more}" if told else "")
-
-
-def _file(folder: Path, place: str, name: str) -> Path | None:
-    candidates = [folder / f"{stem}{suffix}" for stem in (place, name) for suffix in _SUFFIXES]
-    return next((file for file in candidates if file.is_file()), None)
 
 
 def _depth_json(folder: Path) -> dict[str, Any]:

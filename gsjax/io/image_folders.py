@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from gsjax.errors import InputError
 from gsjax.io.images import SUFFIXES
@@ -94,22 +94,27 @@ def _stem(path: Path) -> Path:
 
 
 def masks_in(folder: Path, names: Iterable[str]) -> dict[str, Path]:
-    """The masks that a folder holds, by the photos' names.
+    """The masks that a folder holds, by the photos' names (`files_of_photos`).
 
     A mask has the photo's name, that name or its stem with `.png` after it, or with `.mask.png` (RealityScan) or
-    `_mask.png` (Metashape); within the same subfolders, or in the folder itself where no other photo's file is called
-    the same.
+    `_mask.png` (Metashape).
     """
-    within = {name: path_inside(name) for name in names}
-    alike = Counter(path.name for path in within.values())
-    places = {
-        name: [path] if alike[path.name] > 1 else [path, PurePosixPath(path.name)] for name, path in within.items()
-    }
-    found = {name: next((m for place in where if (m := _mask(folder / place))), None) for name, where in places.items()}
-    return {name: mask for name, mask in found.items() if mask is not None}
+    return files_of_photos(folder, names, ("", ".png", *MASK_ENDS))
 
 
-def _mask(same: Path) -> Path | None:
-    names = (str(same), os.path.splitext(same)[0])
-    candidates = (same, *(Path(name + end) for end in (".png", *MASK_ENDS) for name in names))
-    return next((path for path in candidates if os.path.isfile(path)), None)
+def files_of_photos(folder: Path, names: Iterable[str], ends: Sequence[str]) -> dict[str, Path]:
+    """The files that belong to photos, by the photos' names: the first that there is of each.
+
+    A file has the photo's name with one of the `ends` after it, or in place of its suffix; within the same subfolders,
+    or in the folder itself where no other photo's file is called the same.
+    """
+    inside = {name: path_inside(name) for name in names}
+    counts = Counter(path.name for path in inside.values()), Counter(path.stem for path in inside.values())
+    files: dict[str, Path] = {}
+    for name, path in inside.items():
+        places = [str(path), os.path.splitext(path)[0]]
+        places += [each for each, count in zip((path.name, path.stem), counts, strict=True) if count[each] == 1]
+        candidates = (folder / f"{place}{end}" for place in places for end in ends)
+        if (file := next((file for file in candidates if os.path.isfile(file)), None)) is not None:
+            files[name] = file
+    return files

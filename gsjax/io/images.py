@@ -90,23 +90,24 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
     Raises:
         InputError: The target cannot be written, or its suffix names no format.
     """
-    encoded = BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(encoded, _format(Path(path)), quality=_JPEG_QUALITY)
+    encoded = _encoded(image, _format(Path(path)), quality=_JPEG_QUALITY)
     with atomic_path(path) as temporary:
-        temporary.write_bytes(encoded.getbuffer())
+        temporary.write_bytes(encoded)
 
 
 def jpeg_bytes(image: np.ndarray) -> bytes:
     """`[H, W, 3]` uint8 pixels as a JPEG for the screen, at 85."""
-    stream = BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(stream, "JPEG", quality=85)
-    return stream.getvalue()
+    return _encoded(image, "JPEG", quality=85)
 
 
 def lossless_webp(image: np.ndarray) -> bytes:
     """`[H, W, 3]` or `[H, W, 4]` uint8 pixels as a WebP that keeps every byte, under an alpha of 0 too."""
+    return _encoded(image, "WEBP", lossless=True, exact=True)
+
+
+def _encoded(image: np.ndarray, form: str, **options: Any) -> bytes:
     stream = BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(stream, "WEBP", lossless=True, exact=True)
+    Image.fromarray(np.ascontiguousarray(image)).save(stream, form, **options)
     return stream.getvalue()
 
 

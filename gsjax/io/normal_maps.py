@@ -10,9 +10,11 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
+from gsjax.io.image_folders import files_of_photos
 from gsjax.io.images import cv2, image_size, same_shape
 from gsjax.io.messages import first_names
 from gsjax.io.normal_folders import is_recorded
+from gsjax.io.photo_names import path_inside
 from gsjax.io.photos import scaled_size
 from gsjax.scene import Frame, Origin
 
@@ -48,7 +50,7 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
     directory = Path(directory)
     if not os.path.isdir(directory):
         raise InputError(f"{directory}: no such folder of normal maps")
-    files = _files(directory, frames)
+    files = files_of_photos(directory, (frame.name for frame in frames), _SUFFIXES)
     missing = [frame.name for frame in frames if frame.name not in files]
     if missing:
         plural = "s" * (len(missing) > 1)
@@ -62,7 +64,7 @@ def map_places(frames: Sequence[Frame]) -> dict[str, PurePosixPath]:
 
     Parts that would lead out of the folder are left out.
     """
-    inside = {frame.name: _inside(frame.name) for frame in frames}
+    inside = {frame.name: path_inside(frame.name) for frame in frames}
     shared = Counter(path.with_suffix("") for path in inside.values())
     return {name: path if shared[path.with_suffix("")] > 1 else path.with_suffix("") for name, path in inside.items()}
 
@@ -74,26 +76,6 @@ def resize_normals(unit: np.ndarray, width: int, height: int) -> np.ndarray:
         return unit
     mixed = cv2.resize(unit, (width, height), interpolation=cv2.INTER_LINEAR)
     return _known(mixed, cv2.resize(unit, (width, height), interpolation=cv2.INTER_NEAREST))
-
-
-def _inside(name: str) -> PurePosixPath:
-    path = PurePosixPath(name)
-    return PurePosixPath(*[part for part in path.parts if part not in (path.anchor, "..")])
-
-
-def _files(directory: Path, frames: tuple[Frame, ...]) -> dict[str, Path]:
-    """Each frame's map: under its name, or under its bare stem where no other frame shares that."""
-    paths = {frame.name: PurePosixPath(frame.name) for frame in frames}
-    shared = Counter(path.stem for path in paths.values())
-    files = {}
-    for name, path in paths.items():
-        inside = _inside(name)
-        places = [inside, inside.with_suffix("")] + [PurePosixPath(path.stem)] * (shared[path.stem] == 1)
-        candidates = [directory / f"{place}{suffix}" for place in places for suffix in _SUFFIXES]
-        found = next((c for c in candidates if c.is_file()), None)
-        if found is not None:
-            files[name] = found
-    return files
 
 
 def _reader(file: Path, frame: Frame, undistorted: bool) -> Callable[[], np.ndarray]:

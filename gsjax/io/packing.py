@@ -2,7 +2,9 @@
 
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
+import jax
 import numpy as np
 from scipy.special import expit, logit
 
@@ -31,6 +33,19 @@ def check_packable(path: str | Path, gaussians: Gaussians) -> None:
             f"cannot write {path}: it holds harmonics up to degree {MOST_DEGREE}, not {gaussians.sh_degree}; "
             f"--sh-degree {MOST_DEGREE} leaves out the rest"
         )
+
+
+def packed_gaussians(path: Path, **values: Any) -> Gaussians:
+    """The Gaussians of a packed file, float32, of their fields as arrays of any float.
+
+    Raises:
+        InputError: A number is beyond what float32 holds.
+    """
+    with np.errstate(over="ignore"):
+        read = jax.tree.map(lambda array: array.astype(np.float32), Gaussians(**values))
+    if not all(np.isfinite(array).all() for array in jax.tree.leaves(read)):
+        raise InputError(f"{path}: holds numbers beyond what float32 holds")
+    return read
 
 
 def pull_in_outliers(means: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -28,6 +28,7 @@ from gsjax.io.packing import (
     morton_order,
     of_smallest_three,
     opacity_bytes,
+    packed_gaussians,
     pull_in_outliers,
     smallest_three,
     unit_quats,
@@ -190,29 +191,27 @@ def _read(path: Path, archive: zipfile.ZipFile, meta: dict[str, Any]) -> Gaussia
     quats, scales, colors = (pixels(_first(path, meta, part))[:count] for part in ("quats", "scales", "sh0"))
     if (quats[:, 3] < _FIRST_TAG).any():
         raise InputError(f"{path}: quaternions whose largest component is none of four")
+    sh_rest = np.zeros((count, 0, 3))
+    if rest:
+        lines = pixels(rest["files"][0], _PER_LINE * bands * -(-rest["count"] // _PER_LINE))
+        rows = of_codebook(rest, lines[:, :3])[: rest["count"] * bands].reshape(-1, bands, 3)
+        labels = pixels(rest["files"][1])[:count, :2].astype(np.int64) @ [1, 256]
+        if (labels >= len(rows)).any():
+            raise InputError(f"{path}: labels of harmonics beyond the {len(rows)} that there are")
+        sh_rest = rows[labels]
+    logs = low + (high - low) * ((lower + 256 * upper) / _MOST_POSITION)
     with np.errstate(over="ignore"):
-        logs = low + (high - low) * ((lower + 256 * upper) / _MOST_POSITION)
-        read = Gaussians(
-            means=(np.sign(logs) * np.expm1(np.abs(logs))).astype(np.float32),
-            quats=of_smallest_three(
-                quats[:, 3].astype(int) - _FIRST_TAG, (quats[:, :3] / 255 - 0.5) / math.sqrt(0.5)
-            ).astype(np.float32),
-            log_scales=of_codebook(meta["scales"], scales[:, :3]).astype(np.float32),
-            logit_opacities=logits_of_bytes(colors[:, 3]).astype(np.float32),
-            sh_dc=of_codebook(meta["sh0"], colors[:, None, :3]).astype(np.float32),
-            sh_rest=np.zeros((count, 0, 3), np.float32),
-            pixel_filter="mip" if meta.get("model") == "antialiased" or meta.get("antialias") else "classic",
-        )
-        if rest:
-            lines = pixels(rest["files"][0], _PER_LINE * bands * -(-rest["count"] // _PER_LINE))
-            rows = of_codebook(rest, lines[:, :3]).astype(np.float32)[: rest["count"] * bands].reshape(-1, bands, 3)
-            labels = pixels(rest["files"][1])[:count, :2].astype(np.int64) @ [1, 256]
-            if (labels >= len(rows)).any():
-                raise InputError(f"{path}: labels of harmonics beyond the {len(rows)} that there are")
-            read = Gaussians(**{**vars(read), "sh_rest": rows[labels]})
-    if not all(np.isfinite(v).all() for v in vars(read).values() if isinstance(v, np.ndarray)):
-        raise InputError(f"{path}: numbers of meta.json are beyond what float32 holds")
-    return read
+        means = np.sign(logs) * np.expm1(np.abs(logs))
+    return packed_gaussians(
+        path,
+        means=means,
+        quats=of_smallest_three(quats[:, 3].astype(int) - _FIRST_TAG, (quats[:, :3] / 255 - 0.5) / math.sqrt(0.5)),
+        log_scales=of_codebook(meta["scales"], scales[:, :3]),
+        logit_opacities=logits_of_bytes(colors[:, 3]),
+        sh_dc=of_codebook(meta["sh0"], colors[:, None, :3]),
+        sh_rest=sh_rest,
+        pixel_filter="mip" if meta.get("model") == "antialiased" or meta.get("antialias") else "classic",
+    )
 
 
 def _first(path: Path, meta: dict[str, Any], part: str) -> str:

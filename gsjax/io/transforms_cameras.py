@@ -129,16 +129,11 @@ def _focal_lengths(where: str, entry: dict[str, Any], width: int, height: int) -
 
 def _focal_length(where: str, entry: dict[str, Any], key: str, angle_key: str, side: int) -> float | None:
     """A focal length, pixels, as it is stated or as the angle of view says; None where neither is there."""
-    stated = _number(where, entry, key)
-    return _focal_of_angle(where, entry, angle_key, side) if stated is None else stated
-
-
-def _focal_of_angle(where: str, entry: dict[str, Any], key: str, side: int) -> float | None:
-    angle = _number(where, entry, key)
-    if angle is None:
-        return None
+    stated, angle = _number(where, entry, key), _number(where, entry, angle_key)
+    if stated is not None or angle is None:
+        return stated
     if not 0 < angle < math.pi:
-        raise InputError(f"{where} has {key} {angle:g}, which is no angle of view in radians")
+        raise InputError(f"{where} has {angle_key} {angle:g}, which is no angle of view in radians")
     return 0.5 * side / max(math.tan(0.5 * angle), 1e-30)
 
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypedDict
+from typing import Any, Final, TypedDict, Unpack
 
 from tqdm import tqdm
 
@@ -25,7 +25,17 @@ __all__ = ["DEFAULT_FRAMES", "FILES", "Reconstruction", "SfmReport", "read_repor
 
 
 class Reconstruction(TypedDict, total=False):
-    """Options of `reconstruct` that a person chooses, see there."""
+    """Options of `reconstruct` that a person chooses.
+
+    Attributes:
+        frames: How many frames to take of a video, 100 where it is absent; a shorter video gives all that it has.
+        panoramas: The photos, or the video's frames, are equirectangular: 360 degrees across, 180 down. They are
+            written whole, with the camera model EQUIRECTANGULAR, which `gsjax.io.scenes` reads as six pinhole faces.
+        mask_below: Of panoramas: mask what is so many degrees and more below the horizon, where the operator is.
+        features: "sift", or "aliked" or "disk" by OpenCV 5 and the user's own file of `weights`.
+        weights: Of ALIKED or DISK, an ONNX file.
+        matcher_weights: Of LightGlue for ALIKED, an ONNX file. Absent: nearest descriptors match.
+    """
 
     frames: int
     panoramas: bool
@@ -42,12 +52,12 @@ FILES: Final = ("weights", "matcher_weights")  # options that name one
 class _Options:
     """The options of `reconstruct`, checked."""
 
-    frames: int
-    panoramas: bool
-    mask_below: float | None
-    features: str
-    weights: Path | None
-    matcher_weights: Path | None
+    frames: int = DEFAULT_FRAMES
+    panoramas: bool = False
+    mask_below: float | None = None
+    features: str = "sift"
+    weights: str | Path | None = None
+    matcher_weights: str | Path | None = None
 
     def __post_init__(self):
         """Check ranges, and options that exclude each other; raises InputError."""
@@ -57,7 +67,7 @@ class _Options:
             raise InputError(f"--mask-below {self.mask_below:g}: is for panoramas of 360 degrees, add --panoramas")
         if self.mask_below is not None and not 0 <= self.mask_below < 90:
             raise InputError(f"--mask-below {self.mask_below:g}: degrees below the horizon are from 0 to less than 90")
-        files = [file for file in (self.weights, self.matcher_weights) if file is not None]
+        files = [Path(file) for file in (self.weights, self.matcher_weights) if file is not None]
         if self.features == "sift" and files:
             raise InputError("--weights and --matcher-weights go with --features aliked or disk, not with SIFT")
         if self.features not in ("sift", "aliked", "disk"):
@@ -93,13 +103,8 @@ def reconstruct(
     photos: str | Path,
     out: str | Path,
     *,
-    frames: int | None = None,
-    panoramas: bool = False,
-    mask_below: float | None = None,
-    features: str = "sift",
-    weights: str | Path | None = None,
-    matcher_weights: str | Path | None = None,
     progress: Callable[..., tqdm] = tqdm,
+    **options: Unpack[Reconstruction],
 ) -> SfmReport:
     """Make a COLMAP data set (`out/images`, `out/sparse/0`, PINHOLE cameras) from a folder of photos or a video.
 
@@ -115,14 +120,8 @@ def reconstruct(
         photos: Folder of photos, subfolders included; or a video, of which the sharpest frame of every stretch is
             taken.
         out: Folder to make; appears when everything is done. Must not exist, or be empty.
-        frames: How many frames to take of a video, None for 100; a shorter video gives all that it has.
-        panoramas: The photos, or the video's frames, are equirectangular: 360 degrees across, 180 down. They are
-            written whole, with the camera model EQUIRECTANGULAR, which `gsjax.io.scenes` reads as six pinhole faces.
-        mask_below: Of panoramas: mask what is so many degrees and more below the horizon, where the operator is.
-        features: "sift", or "aliked" or "disk" by OpenCV 5 and the user's own file of `weights`.
-        weights: Of ALIKED or DISK, an ONNX file.
-        matcher_weights: Of LightGlue for ALIKED, an ONNX file. None: nearest descriptors match.
         progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
+        options: See `Reconstruction`.
 
     Raises:
         InputError: No folder or video, fewer than two photos or frames, fewer than half of them whole, a file of
@@ -131,13 +130,12 @@ def reconstruct(
     """
     start = time.monotonic()
     photos, out = Path(photos), Path(out)
-    if frames is not None and photos.is_dir():
+    if "frames" in options and photos.is_dir():
         raise InputError(f"{photos}: is a folder of photos, of which all are taken; --frames is for a video")
-    files = (None if file is None else Path(file) for file in (weights, matcher_weights))
-    options = _Options(DEFAULT_FRAMES if frames is None else frames, panoramas, mask_below, features, *files)
+    checked = _Options(**options)
     require_empty(out)
     with workspace(out) as space:
-        report = run_in_child(_build, photos, space, options, name=str(photos), progress=progress)
+        report = run_in_child(_build, photos, space, checked, name=str(photos), progress=progress)
         report["seconds"] = time.monotonic() - start
         json_files.write(space / "scene" / REPORT, report)  # Of a scene that is there, it can be read again.
         put_in_place(space / "scene", out)
@@ -191,8 +189,8 @@ def _built(source: Path, workspace: Path, options: _Options, progress: Callable[
     if options.weights is None:
         detected, matcher = features.find_features(photos, progress), None
     else:
-        files = options.weights, options.matcher_weights
-        detected, matcher = learned.find_features(photos, options.features, *files, progress)
+        weights, matcher = Path(options.weights), options.matcher_weights and Path(options.matcher_weights)
+        detected, matcher = learned.find_features(photos, options.features, weights, matcher, progress)
     scores = pairs.likeness(detected, progress)
     priors, ignored_focals = initial_cameras.focal_priors(photos)
     material = mapping.Material(photos, detected, scores, [], matcher)
