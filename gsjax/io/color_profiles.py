@@ -144,15 +144,15 @@ def in_mode(picture, mode: str):
 @cache
 def _coded_profile(primaries: int) -> bytes | None:
     """The ICC profile of code points with the curve of sRGB; None of the primaries of sRGB, and of others."""
-    return _matrix_profile(_PRIMARIES[primaries], (3, _SRGB_CURVE)) if primaries in _PRIMARIES else None
+    return matrix_profile(_PRIMARIES[primaries], (3, _SRGB_CURVE)) if primaries in _PRIMARIES else None
 
 
 @cache
 def _adobe_rgb() -> bytes:
-    return _matrix_profile(_ADOBE_RGB, (0, (_ADOBE_GAMMA,)))
+    return matrix_profile(_ADOBE_RGB, (0, (_ADOBE_GAMMA,)))
 
 
-def _matrix_profile(primaries: Sequence[tuple[float, float]], curve: tuple[int, Sequence[float]]) -> bytes:
+def matrix_profile(primaries: Sequence[tuple[float, float]], curve: tuple[int, Sequence[float]]) -> bytes:
     """An ICC profile (version 4) of x and y of red, green and blue, white D65, and a parametric curve (its type)."""
     columns = np.stack([_xyz(*each) for each in primaries], axis=-1)
     white = _xyz(*_D65)

@@ -215,12 +215,6 @@ def test_a_training_is_watched_where_it_is_asked_for(library, capsys):
     assert settings == trained and keywords == {"resume": False, "observe": "told of every step"}
 
 
-def test_an_address_of_no_host_is_refused_before_a_budget_is_measured(capsys):
-    arguments = ["--out", "r", "--budget", "9m", "--view", "--host", "nowhere.invalid"]
-    assert cli.main(["train", "no/scene", *arguments]) == 2
-    assert capsys.readouterr().err.startswith("gsjax: error: --host nowhere.invalid: ")
-
-
 def test_eval_writes_json_and_prints_a_table_and_what_is_not_scored(library, tmp_path, capsys, monkeypatch):
     assert cli.main(["eval", "run", "--json", str(tmp_path / "a/e.json"), "--mesh", "m.ply"]) == 0
     assert json.loads((tmp_path / "a/e.json").read_text()) == {"psnr": 29.5, "views": 7}

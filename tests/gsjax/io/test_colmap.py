@@ -170,19 +170,6 @@ def test_of_several_models_the_largest_is_taken_and_told(colmap_scene, capsys):
     assert find_model(root) == large
 
 
-@pytest.mark.parametrize("place", ["sparse", "sparse/geo", "colmap/sparse/0"])
-def test_the_largest_model_is_taken_wherever_it_lies(colmap_scene, capsys, place):
-    root = colmap_scene(count=4)
-    small = pycolmap.Reconstruction(root / "sparse/0")
-    small.deregister_frame(small.image(4).frame_id)
-    shutil.copytree(root / "sparse/0", root / place, dirs_exist_ok=True)
-    small.write_binary(root / "sparse/0")
-    (root / "colmap/sparse").mkdir(parents=True, exist_ok=True)
-    (root / "colmap/sparse/7").symlink_to(root / "sparse/0")
-    assert find_model(root) == root / place
-    assert f"{place} with 4 photos is taken; there are also sparse/0 with 3\n" in capsys.readouterr().err
-
-
 def test_of_two_forms_of_a_model_the_larger_is_taken_and_told(colmap_scene, capsys):
     root = colmap_scene(count=4)
     model = pycolmap.Reconstruction(root / "sparse/0")

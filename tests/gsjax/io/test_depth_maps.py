@@ -1,7 +1,6 @@
 """Measured depth: what files hold, in their unit, at the pixels of a frame."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from PIL import Image
 from gsjax.errors import InputError
 from gsjax.io.depth_maps import open_depth_maps
 from gsjax.io.depth_windows import on_grid
-from gsjax.scene import Origin, Pixels, frame_of
+from gsjax.scene import Pixels, frame_of
 
 WIDTH, HEIGHT = 12, 8
 FRAMES = tuple(
@@ -83,17 +82,6 @@ def test_of_a_smaller_map_each_value_goes_to_the_pixel_that_holds_it_and_nowhere
     np.testing.assert_array_equal(depth, expected)
     np.testing.assert_array_equal(trust, 9 * (expected > 0))
     np.testing.assert_array_equal(on_grid((coarse, trust[2::4, 2::4]), FRAMES[0], 4)[0], coarse)
-
-
-def test_of_a_distorted_photo_values_come_from_where_its_pixels_lie():
-    """The frame shows the right half of the photo, and one column beyond it."""
-    x, y = np.meshgrid(0.5 + (np.arange(WIDTH) + 0.5) / (2 * WIDTH - 2), (np.arange(HEIGHT) + 0.5) / HEIGHT)
-    positions = np.where(x[..., None] > 1, -1, np.stack([x, y], -1))
-    origin = Origin((2 * WIDTH - 2, HEIGHT), (WIDTH, HEIGHT), lambda: positions)
-    photo = np.tile(np.arange(1, 2 * WIDTH - 1, dtype=np.float32), (HEIGHT, 1))
-    depth, trust = on_grid((photo, np.full(photo.shape, 255, np.uint8)), replace(FRAMES[0], origin=origin), 1)
-    np.testing.assert_array_equal(depth[:, :-1], photo[:, WIDTH - 1 :])
-    assert not depth[:, -1].any() and not trust[:, -1].any()
 
 
 def faulty(tmp_path, fault):

@@ -10,7 +10,6 @@ from gsjax.io.images import (
     check_image,
     filter_straight,
     image_size,
-    open_image,
     read_image,
     read_mask,
     resize,
@@ -212,14 +211,6 @@ def test_a_full_disk_is_told_and_leaves_no_part_of_an_image(tmp_path, monkeypatc
 def test_a_suffix_of_no_format_is_told(tmp_path):
     with pytest.raises(InputError, match="a.xyz: no format of images ends in .xyz"):
         write_image(tmp_path / "a.xyz", noise(5, 7, 3))
-
-
-def test_what_a_caller_raises_of_an_open_image_stays_what_it_is(tmp_path):
-    write_image(tmp_path / "a.png", noise(5, 7, 3))
-    with pytest.raises(ZeroDivisionError), open_image(tmp_path / "a.png"):
-        _ = 1 / 0
-    with pytest.raises(FileNotFoundError), open_image(tmp_path / "a.png"):
-        (tmp_path / "other").read_bytes()
 
 
 def jpeg(progressive=False):

@@ -11,15 +11,6 @@ MEMINFO = "MemTotal: 9 kB\nMemAvailable:       3 kB\n"
 
 
 @pytest.mark.parametrize(
-    ("limit", "used", "free"), [("max", "5", 3072), ("", "", 3072), ("2000", "500", 1500), ("9000", "500", 3072)]
-)
-def test_a_containers_limit_counts(monkeypatch, limit, used, free):
-    texts = {"meminfo": MEMINFO, "memory.max": limit, "memory.current": used}
-    monkeypatch.setattr(machine, "_text", lambda path: texts.get(str(path).rpartition("/")[2], ""))
-    assert machine.free_memory() == free
-
-
-@pytest.mark.parametrize(
     ("space", "data", "free"),
     [("4000", "9000", 2976), ("9000", "3000", 952), ("9000", "unlimited", 3072), ("unlimited", "unlimited", 3072)],
 )

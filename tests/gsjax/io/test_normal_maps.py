@@ -134,21 +134,6 @@ def test_maps_of_another_kind_are_refused(tmp_path, array, message):
         load_normals(tmp_path, frames())
 
 
-@pytest.mark.parametrize("suffix", [".npy", ".npz", ".png"])
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.95])
-def test_truncated_maps_are_named(tmp_path, suffix, share):
-    file = tmp_path / f"001{suffix}"
-    if suffix == ".png":
-        write_png(file, smooth_normals(), np.uint16)
-    else:
-        (np.save if suffix == ".npy" else np.savez)(file, smooth_normals())
-    data = file.read_bytes()
-    file.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(InputError, match=f"001{suffix}") as error:
-        load_normals(tmp_path, frames())
-    assert "\n" not in str(error.value)
-
-
 # A wide lens that bends much, and the photo's size: with a positive coefficient the undistorted frame loses its
 # border, with a negative one it keeps the photo's size.
 CROPPED, WHOLE = (120.0, 78.0, 61.5, 0.12), (120.0, 78.0, 61.5, -0.12)

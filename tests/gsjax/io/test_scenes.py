@@ -25,15 +25,6 @@ def half_mask(width=40, height=30):
     return mask
 
 
-def test_every_eighth_of_the_sorted_names_is_held_out(colmap_scene):
-    scene = load_scene(colmap_scene(count=18))
-    names = [f"{i:03d}.png" for i in range(18)]
-    assert [f.name for f in scene.frames] == names
-    assert [f.name for f in scene.held_out_frames] == names[::8]
-    assert [f.name for f in scene.train_frames] == [n for i, n in enumerate(names) if i % 8]
-    assert scene.source == "colmap"
-
-
 def test_a_selection_of_photos_is_held_out_as_among_all(colmap_scene, tmp_path):
     root, names = colmap_scene(count=18), [f"{i:03d}.png" for i in range(4, 10)]
     chosen = tmp_path / "chosen.txt"
@@ -155,14 +146,6 @@ def test_photos_that_the_model_saw_turned_are_left_out(colmap_scene, orientation
     reason = "stored as 30x40 and its EXIF" if orientation == 6 else "30x40 but its camera says 40x30"
     assert [frame.name for frame in load_scene(root).frames] == ["000.png", "002.png"]
     assert f"001.png: image is {reason}" in capsys.readouterr().err
-
-
-def test_photos_of_the_size_of_their_camera_are_read_as_stored_whatever_their_orientation(colmap_scene):
-    root = colmap_scene(count=3)
-    pixels, exif = read(root / "images/001.png")[..., ::-1], Image.Exif()
-    exif[ORIENTATION] = 6
-    Image.fromarray(np.ascontiguousarray(pixels)).save(root / "images/001.png", exif=exif)
-    np.testing.assert_array_equal(load_scene(root).frames[1].pixels().image, pixels)
 
 
 @pytest.mark.parametrize(("value", "is_matte"), [(255, False), (77, False), (0, True)])
@@ -304,17 +287,6 @@ def test_a_folder_that_is_no_data_set_is_told_what_is_looked_for(tmp_path):
     assert is_data_set(tmp_path)
 
 
-@pytest.mark.parametrize("downscale", [0.5, 0.0, -1.0, float("nan"), float("inf")])
-def test_downscale_below_one_is_refused(tmp_path, downscale):
-    with pytest.raises(InputError, match=f"downscale must be a number of at least 1, not {downscale}"):
-        load_scene(tmp_path, downscale=downscale)
-
-
-def test_unknown_use_of_masks_is_refused(tmp_path):
-    with pytest.raises(InputError, match="folder_masks must be one of valid, matte, not 'alpha'"):
-        load_scene(tmp_path, folder_masks="alpha")
-
-
 @pytest.mark.parametrize("folder", ["kitchen", "bunny_plane"])
 def test_sparse_points_fall_on_the_frames(shared, folder):
     scene = load_scene(shared / "data" / folder, downscale=2)
@@ -324,3 +296,15 @@ def test_sparse_points_fall_on_the_frames(shared, folder):
         xy = cam[:, :2] / cam[:, 2:] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
         seen += (cam[:, 2] > 0) & (xy >= 0).all(1) & (xy <= [frame.width, frame.height]).all(1)
     assert (seen >= 2).mean() > 0.999
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "fault"),
+    [
+        *(("downscale", value, "a number of at least 1") for value in (0.5, -1.0, float("nan"), float("inf"))),
+        ("folder_masks", "alpha", "one of valid, matte"),
+    ],
+)
+def test_an_option_out_of_range_is_refused(tmp_path, option, value, fault):
+    with pytest.raises(InputError, match=f"{option} must be {fault}, not {value!r}"):
+        load_scene(tmp_path, **{option: value})

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
-from gsjax.io.sfm import dataset_writer, gps, initial_cameras, pairs, source_photos
+from gsjax.io.sfm import dataset_writer, gps, pairs, source_photos
 from gsjax.io.sfm import features as sift
 from gsjax.io.sfm.features import Features, epipolar_regions, homography_regions, match
 
@@ -275,18 +275,6 @@ def test_what_was_made_of_photos_is_not_taken_for_more_of_them(tmp_path):
     (tmp_path / "a.jpg").unlink()
     with pytest.raises(InputError, match="has 1; what .*Thumbnails holds was made of photos"):
         source_photos.list_source_photos(tmp_path)
-
-
-@pytest.mark.parametrize("suffix", ["jpg", "webp", "heic"])
-def test_the_focal_length_in_exif_is_used_whatever_the_format(tmp_path, suffix):
-    if suffix == "heic":
-        pytest.importorskip("pillow_heif").register_heif_opener()
-    for name in "ab":
-        photo(tmp_path / f"{name}.{suffix}", (300, 200), make="One", focal=26)
-    taken = source_photos.list_source_photos(tmp_path)
-    first, second = initial_cameras.guess_cameras(taken, initial_cameras.focal_priors(taken)[0])
-    assert first is second and first.has_prior_focal_length
-    assert first.params[0] == pytest.approx(300 * 26 / 36, rel=0.05)  # 35 mm film is 36 mm wide
 
 
 def test_mattes_and_masks_are_published(tmp_path, monkeypatch):

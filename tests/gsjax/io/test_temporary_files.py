@@ -1,10 +1,8 @@
-import io
 import os
 
 import numpy as np
 import pytest
 
-from gsjax.errors import InputError
 from gsjax.io import temporary_files
 from gsjax.io.temporary_files import ArraysOnDisk
 
@@ -32,13 +30,3 @@ def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_pat
     with pytest.raises(ValueError, match="read-only"):
         kept[0][0, 0, 0] = 1
     assert os.listdir(tmp_path) == [], "its files have no names, and go with the process"
-
-
-def test_a_full_disk_is_one_line(tmp_path, monkeypatch):
-    class Full(io.BytesIO):
-        def truncate(self, size=None):
-            raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(temporary_files.tempfile, "TemporaryFile", lambda **_: Full())
-    with pytest.raises(InputError, match=f"^cannot write {tmp_path}: No space left on device$"):
-        ArraysOnDisk(tmp_path)(np.ones(3))

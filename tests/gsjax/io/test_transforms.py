@@ -64,18 +64,6 @@ def test_angles_of_view_give_focal_lengths(tmp_path):
     np.testing.assert_array_equal(K[:2, 2], [20, 15])
 
 
-def test_a_panorama_becomes_six_views_split_by_photo(tmp_path):
-    scene = load_scene(write(tmp_path, camera_model="EQUIRECTANGULAR", poses=ring(3)))
-    assert len(scene.frames) == 18
-    assert {f.name[:3] for f in scene.held_out_frames} == {"000"} and len(scene.held_out_frames) == 6
-    front = next(f for f in scene.frames if f.name == "001_front.png")
-    target = front.viewmat @ np.array([0, 0, 0, 1.0])
-    np.testing.assert_allclose(target[:2], 0, atol=1e-6)
-    axes = np.stack([f.viewmat[2, :3] for f in scene.frames[6:12]])
-    np.testing.assert_allclose(axes.sum(0), 0, atol=1e-6)
-    np.testing.assert_allclose(axes.T @ axes, 2 * np.eye(3), atol=1e-6)
-
-
 def test_random_points_surround_what_the_cameras_look_at_and_keep_clear_of_them(tmp_path):
     target = np.array([3.0, -2.0, 1.0])
     scene = load_scene(write(tmp_path, camera_angle_x=0.8, poses=ring(target=target)))

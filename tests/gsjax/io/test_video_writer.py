@@ -68,14 +68,6 @@ def test_a_film_that_lacks_pictures_is_refused(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_path_is_read_as_it_was_written(tmp_path):
-    (tmp_path / "path.json").write_text(json.dumps({"closed": True, "keyframes": POSES}))
-    keyframes = read_keyframes(tmp_path / "path.json")
-    assert keyframes.closed
-    np.testing.assert_array_equal(keyframes.viewmats, [pose["viewmat"] for pose in POSES])
-    np.testing.assert_allclose(np.degrees(keyframes.fovs), [50, 60, 40])
-
-
 @pytest.mark.parametrize(
     ("told", "message"),
     [

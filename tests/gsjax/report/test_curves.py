@@ -9,18 +9,6 @@ def points(text):
     return np.array([pair.split(",") for pair in text.split()], float)
 
 
-def test_points_lie_where_the_axes_say():
-    """Loss 0.25 at step 50 of 200, on axes from 0 to 1: a quarter across, a quarter up."""
-    drawn = chart("Loss", "steps", [Curve("loss", np.array([50, 100, 200]), np.array([0.25, 1.0, 0.0]))])
-    across, up = RIGHT - LEFT, BOTTOM - TOP
-    expected = [(LEFT + across / 4, BOTTOM - up / 4), (LEFT + across / 2, TOP), (RIGHT, BOTTOM)]
-    assert_close(points(drawn.lines[0].points), np.array(expected), atol=0.006, rtol=0, why="two digits are written")
-    heights = {text: y for y, text in drawn.y_ticks}
-    assert (heights["0"], heights["1"]) == (BOTTOM, TOP)
-    places = {text: x for x, text in drawn.x_ticks}
-    assert (places["0"], places["100"], places["200"]) == (LEFT, LEFT + across / 2, RIGHT)
-
-
 def test_a_band_goes_along_the_most_and_back_along_the_least():
     low, high = np.array([0.0, 2.0]), np.array([4.0, 4.0])
     drawn = chart("y", "steps", [Curve("y", np.array([5, 10]), (low + high) / 2, low, high)])
