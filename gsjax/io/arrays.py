@@ -4,6 +4,8 @@ import math
 import struct
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from lzma import LZMAError
 from pathlib import Path
 from tokenize import TokenError
@@ -33,18 +35,13 @@ def headers(file: Path, *keys: str) -> dict[str, Header]:
     Raises:
         InputError: The file is damaged or lacks one; names the file.
     """
-    try:
-        with file.open("rb") as handle:
-            if file.suffix == ".npy":
-                return {"": _header(handle)}
-            with zipfile.ZipFile(handle) as archive:
-                known = [name.removesuffix(".npy") for name in archive.namelist()]
-                _check_known(file, keys, known)
-                return {key: _header_in(archive, key) for key in keys or known}
-    except InputError:
-        raise
-    except _FAULTS as error:
-        raise _unreadable(file, error) from error
+    with _opened(file) as handle:
+        if file.suffix == ".npy":
+            return {"": _header(handle)}
+        with zipfile.ZipFile(handle) as archive:
+            known = [name.removesuffix(".npy") for name in archive.namelist()]
+            _check_known(file, keys, known)
+            return {key: _header_in(archive, key) for key in keys or known}
 
 
 def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:
@@ -57,17 +54,24 @@ def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:
         size = math.prod(shape) * dtype.itemsize
         if size > _ALWAYS_ROOM:
             require_memory(f"{file}: {key or 'its array'}, of shape {list(shape)},", size)
+    with _opened(file) as handle:
+        if file.suffix == ".npy":
+            return {"": np.load(handle)}
+        with np.load(handle) as archive:
+            _check_known(file, keys, list(archive))
+            return {key: archive[key] for key in keys or archive}
+
+
+@contextmanager
+def _opened(file: Path) -> Iterator[IO[bytes]]:
     try:
         with file.open("rb") as handle:
-            if file.suffix == ".npy":
-                return {"": np.load(handle)}
-            with np.load(handle) as archive:
-                _check_known(file, keys, list(archive))
-                return {key: archive[key] for key in keys or archive}
+            yield handle
     except InputError:
         raise
     except _FAULTS as error:
-        raise _unreadable(file, error) from error
+        reason = str(error).splitlines()[0] if str(error) else "it ends too soon"
+        raise InputError(f"{file}: cannot be read ({reason})") from error
 
 
 def _header_in(archive: zipfile.ZipFile, key: str) -> Header:
@@ -86,7 +90,3 @@ def _check_known(file: Path, keys: tuple[str, ...], known: list[str]) -> None:
     missing = [key for key in keys if key not in known]
     if missing:
         raise InputError(f"{file}: lacks {', '.join(missing)}; it holds {', '.join(known)}")
-
-
-def _unreadable(file: Path, error: Exception) -> InputError:
-    return InputError(f"{file}: cannot be read ({str(error).splitlines()[0] if str(error) else 'it ends too soon'})")

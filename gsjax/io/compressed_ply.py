@@ -12,29 +12,10 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians
+from gsjax.io import packing, ply_elements
 from gsjax.io.files import atomic_path
 from gsjax.io.foreign_columns import report_unread
 from gsjax.io.georeference_files import place_comments
-from gsjax.io.packing import (
-    check_packable,
-    logits_of_bytes,
-    morton_order,
-    of_smallest_three,
-    opacity_bytes,
-    packed_gaussians,
-    pull_in_outliers,
-    smallest_three,
-    unit_quats,
-)
-from gsjax.io.ply_elements import (
-    filter_comments,
-    from_rest_columns,
-    read_elements,
-    read_filter,
-    rest_columns,
-    rest_names,
-    stack_columns,
-)
 from gsjax.scene.georeference import UNPLACED, Place
 
 _CHUNK = 256
@@ -58,9 +39,9 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians, place: Place = 
     Raises:
         InputError: Values are not finite, harmonics are of degree 4, or the target cannot be written.
     """
-    check_packable(path, gaussians)
-    comments = filter_comments(gaussians.pixel_filter) + place_comments(place)
-    order = morton_order(pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH_OF_ORDER)[0])
+    packing.check_packable(path, gaussians)
+    comments = ply_elements.filter_comments(gaussians.pixel_filter) + place_comments(place)
+    order = packing.morton_order(packing.pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH_OF_ORDER)[0])
     means, quats, log_scales, logits, dc, rest = (
         np.asarray(values)[order]
         for values in (
@@ -69,10 +50,10 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians, place: Place = 
             gaussians.log_scales,
             gaussians.logit_opacities,
             gaussians.sh_dc,
-            rest_columns(gaussians.sh_rest),
+            ply_elements.rest_columns(gaussians.sh_rest),
         )
     )
-    largest, three = smallest_three(unit_quats(quats))
+    largest, three = packing.smallest_three(packing.unit_quats(quats))
     means, far = _drawn_into_chunks(means.astype(np.float64))
     colors = dc[:, 0].astype(np.float64) * SH_C0 + 0.5
     bounds, packed = zip(
@@ -82,7 +63,7 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians, place: Place = 
         strict=True,
     )
     rotations = largest.astype(np.uint32) << 30 | _pack(three * np.sqrt(0.5) + 0.5, _OF_ROTATIONS)
-    colors_opacities = packed[2] << 8 | opacity_bytes(logits)
+    colors_opacities = packed[2] << 8 | packing.opacity_bytes(logits)
     harmonics = np.clip(np.floor((rest.astype(np.float64) / (2 * _MOST_REST) + 0.5) * 256), 0, 255).astype(np.uint8)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join(_header(len(harmonics), harmonics.shape[1], comments)).encode())
@@ -106,7 +87,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
         InputError: The file is no compressed PLY, is truncated, or holds bounds that are not finite.
     """
     path = Path(path)
-    elements, header = read_elements(path)
+    elements, header = ply_elements.read_elements(path)
     chunks, vertices = elements.get("chunk"), elements.get("vertex")
     if chunks is None or vertices is None:
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
@@ -116,7 +97,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     if not bounds <= set(chunks.dtype.names or ()) or lacks_packed:
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
     report_unread(path, [name for name in vertices.dtype.names or () if name not in _PACKED])
-    if not np.isfinite(stack_columns(chunks, list(chunks.dtype.names or ()))).all():
+    if not np.isfinite(ply_elements.stack_columns(chunks, list(chunks.dtype.names or ()))).all():
         raise InputError(f"{path}: bounds of a chunk are not finite")
     count = len(vertices)
     harmonics = elements.get("sh", np.empty(count, []))  # None where the degree is 0.
@@ -126,7 +107,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
         )
 
     def unpacked(codes: np.ndarray, names: tuple[str, ...], bits: tuple[int, ...]) -> np.ndarray:
-        low, high = (stack_columns(chunks, end).astype(np.float64) for end in _bounds(names))
+        low, high = (ply_elements.stack_columns(chunks, end).astype(np.float64) for end in _bounds(names))
         units, chunk = _unpack(codes, bits), np.arange(count) // _CHUNK
         return low[chunk] * (1 - units) + high[chunk] * units
 
@@ -134,17 +115,19 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     colors = vertices["packed_color"] >> 8
     with_bounds = {name for end in _bounds(_COLORS) for name in end} <= set(chunks.dtype.names or ())
     colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
-    rest = stack_columns(harmonics, rest_names(path, harmonics.dtype.names or ()))
+    rest = ply_elements.stack_columns(harmonics, ply_elements.rest_names(path, harmonics.dtype.names or ()))
     inside = (rest > 0) & (rest < 255)
-    return packed_gaussians(
+    return packing.packed_gaussians(
         path,
         means=unpacked(vertices["packed_position"], _MEANS, _IN_SPACE),
-        quats=of_smallest_three(largest, (three - 0.5) / np.sqrt(0.5)),
+        quats=packing.of_smallest_three(largest, (three - 0.5) / np.sqrt(0.5)),
         log_scales=unpacked(vertices["packed_scale"], _SCALES, _IN_SPACE),
-        logit_opacities=logits_of_bytes(vertices["packed_color"] & 255),
+        logit_opacities=packing.logits_of_bytes(vertices["packed_color"] & 255),
         sh_dc=((colors - 0.5) / SH_C0)[:, None],
-        sh_rest=from_rest_columns((np.where(inside, (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST),
-        pixel_filter=read_filter(header),
+        sh_rest=ply_elements.from_rest_columns(
+            (np.where(inside, (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST
+        ),
+        pixel_filter=ply_elements.read_filter(header),
     )
 
 
@@ -172,7 +155,7 @@ def _bounds(names: tuple[str, ...]) -> tuple[list[str], list[str]]:
 def _drawn_into_chunks(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`pull_in_outliers` of one chunk after the other."""
     starts = range(_CHUNK, len(means), _CHUNK)
-    inner, far = zip(*(pull_in_outliers(chunk, _REACH) for chunk in np.split(means, starts)), strict=True)
+    inner, far = zip(*(packing.pull_in_outliers(chunk, _REACH) for chunk in np.split(means, starts)), strict=True)
     return np.concatenate(inner), np.concatenate(far)
 
 

@@ -154,15 +154,12 @@ def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
         InputError: The parameters give no image around the principal point, or the photo is larger than memory has
             room for.
     """
-    if lens.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-        _check_room(lens)
-    if lens.model == "EQUIRECTANGULAR":
-        return _cube_faces(lens)
     if lens.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         return (PinholeView("", np.eye(3), _pinhole_matrix(lens), lens.width, lens.height, None, None),)
+    _check_room(lens)
     camera = pycolmap_camera(lens)
-    if "FISHEYE" in lens.model and _corner_angle(camera) > _WIDEST:
-        return _fisheye_faces(lens)
+    if lens.model == "EQUIRECTANGULAR" or ("FISHEYE" in lens.model and _corner_angle(camera) > _WIDEST):
+        return _faces(lens)
     K = np.asarray(camera.calibration_matrix())
     target = _pixel_centres(lens.width, lens.height)
     source = _project(camera, _rays(target, K))
@@ -170,18 +167,21 @@ def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
         return (PinholeView("", np.eye(3), K, lens.width, lens.height, None, None),)
     valid = _covered(source, K, lens)
     rows, columns = _without_bare_border(valid)
-    K = K - np.array([[0, 0, columns.start], [0, 0, rows.start], [0, 0, 0]])
-    source, valid = source[rows, columns], valid[rows, columns]
-    view = PinholeView(
-        "",
-        np.eye(3),
-        K,
+    return (_cut(PinholeView("", np.eye(3), K, lens.width, lens.height, source, valid), rows, columns),)
+
+
+def _cut(view: PinholeView, rows: slice, columns: slice) -> PinholeView:
+    """Some rows and columns of a view, whose `source_xy` is not finite where the photo has no pixel; `valid` is bool."""
+    assert view.source_xy is not None and view.valid is not None
+    source, valid = view.source_xy[rows, columns], view.valid[rows, columns]
+    return replace(
+        view,
+        K=view.K - np.array([[0, 0, columns.start], [0, 0, rows.start], [0, 0, 0]]),
         width=valid.shape[1],
         height=valid.shape[0],
         source_xy=np.where(np.isfinite(source), source, -1.0).astype(np.float32),
         valid=None if valid.all() else valid.astype(np.uint8) * np.uint8(255),
     )
-    return (view,)
 
 
 def _check_room(lens: Lens) -> None:
@@ -192,19 +192,6 @@ def _check_room(lens: Lens) -> None:
     side = lens.width / np.pi  # of a face of the cube
     pixels = 2 * side * side if lens.model == "EQUIRECTANGULAR" else lens.width * lens.height
     require_memory(f"undistorting {photo}", _MAPPED * pixels)
-
-
-def _cube_faces(lens: Lens) -> tuple[PinholeView, ...]:
-    """Six 90 degree views, whose pixels are as dense at the face's centre as the panorama's on its equator."""
-    camera = pycolmap_camera(lens)
-    side = max(2, round(lens.width / np.pi))
-    K = np.array([[side / 2, 0, side / 2], [0, side / 2, side / 2], [0, 0, 1]])
-    rays = _rays(_pixel_centres(side, side), K)
-    faces = []
-    for name, rotation in _face_rotations().items():
-        source = _project(camera, rays @ rotation).astype(np.float32)
-        faces.append(PinholeView(f"_{name}", rotation, K, side, side, source, None))
-    return tuple(faces)
 
 
 def principal_point(lens: Lens) -> np.ndarray:
@@ -229,30 +216,27 @@ def _corner_angle(camera) -> float:
     return float(np.arccos(np.clip(rays[:, 2], -1, 1)).max())
 
 
-def _fisheye_faces(lens: Lens) -> tuple[PinholeView, ...]:
-    """The faces that the photo covers, cut to what it covers of each; their pixels are as dense as the photo's middle.
+def _faces(lens: Lens) -> tuple[PinholeView, ...]:
+    """The faces of a cube that the photo covers, of 90 degrees each, cut to what it covers of each.
+
+    Their pixels are as dense in the middle as a fisheye photo's middle, or as a panorama's equator.
 
     Raises:
         InputError: It covers nothing of any.
     """
-    camera = pycolmap_camera(lens)
-    focal = camera.mean_focal_length()
-    side = max(2, round(2 * focal))
+    camera, is_panorama = pycolmap_camera(lens), lens.model == "EQUIRECTANGULAR"
+    side = max(2, round(lens.width / np.pi if is_panorama else 2 * camera.mean_focal_length()))
     K = np.array([[side / 2, 0, side / 2], [0, side / 2, side / 2], [0, 0, 1]])
     rays = _rays(_pixel_centres(side, side), K)
     faces = []
     for name, rotation in _face_rotations().items():
         source = _project(camera, rays @ rotation)
-        valid = _recorded(camera, source, rays @ rotation)
+        valid = np.ones((side, side), bool) if is_panorama else _recorded(camera, source, rays @ rotation)
         if lens.reach < math.inf:
             valid &= np.linalg.norm(source - principal_point(lens), axis=-1) < lens.reach * lens.width
-        if not valid.any():
-            continue
-        rows, columns = (slice(at.min(), at.max() + 1) for at in np.nonzero(valid))
-        cut, valid = K - np.array([[0, 0, columns.start], [0, 0, rows.start], [0, 0, 0]]), valid[rows, columns]
-        source_xy = np.where(valid[..., None], source[rows, columns], -1.0).astype(np.float32)
-        mask = None if valid.all() else valid.astype(np.uint8) * np.uint8(255)
-        faces.append(PinholeView(f"_{name}", rotation, cut, valid.shape[1], valid.shape[0], source_xy, mask))
+        if valid.any():
+            rows, columns = (slice(at.min(), at.max() + 1) for at in np.nonzero(valid))
+            faces.append(_cut(PinholeView(f"_{name}", rotation, K, side, side, source, valid), rows, columns))
     if not faces:
         raise InputError(f"camera {lens.model} with params {list(lens.params)} gives no image")
     return tuple(faces)

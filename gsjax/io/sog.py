@@ -17,22 +17,11 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.io import json_files
+from gsjax.io import json_files, packing
 from gsjax.io.files import atomic_path
 from gsjax.io.images import decode_rgba, lossless_webp
 from gsjax.io.json_shapes import check
 from gsjax.io.machine import require_memory
-from gsjax.io.packing import (
-    check_packable,
-    logits_of_bytes,
-    morton_order,
-    of_smallest_three,
-    opacity_bytes,
-    packed_gaussians,
-    pull_in_outliers,
-    smallest_three,
-    unit_quats,
-)
 from gsjax.io.quantization import SIZE, codebook, nearest_labels, palette
 
 _REACH = 256.0  # Of positions, see `pull_in_outliers`.
@@ -72,14 +61,14 @@ def write_sog(path: str | Path, gaussians: Gaussians) -> int:
         InputError: Values are not finite, harmonics are of degree 4, there are too many, or the target cannot be
             written.
     """
-    check_packable(path, gaussians)
+    packing.check_packable(path, gaussians)
     count, degree = gaussians.num_gaussians, gaussians.sh_degree
     width = max(4, 4 * math.ceil(math.sqrt(count) / 4))
     height = max(4, 4 * math.ceil(count / width / 4))
     if max(width, height) > _LONGEST_SIDE:
         raise InputError(f"cannot write {path}: {count} Gaussians, SOG holds {_LONGEST_SIDE**2}")
-    means, far = pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH)
-    order = morton_order(means)
+    means, far = packing.pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH)
+    order = packing.morton_order(means)
     images: dict[str, np.ndarray] = {}
 
     def place(name: str, pixels: np.ndarray) -> list[str]:
@@ -92,11 +81,11 @@ def write_sog(path: str | Path, gaussians: Gaussians) -> int:
     low, high = logs.min(axis=0, initial=np.inf), logs.max(axis=0, initial=-np.inf)
     low, high = (low, high) if count else (np.zeros(3), np.zeros(3))
     fixed = np.rint((logs - low) / np.where(high > low, high - low, 1) * _MOST_POSITION).astype(np.uint16)
-    largest, three = smallest_three(unit_quats(np.asarray(gaussians.quats)[order]))
+    largest, three = packing.smallest_three(packing.unit_quats(np.asarray(gaussians.quats)[order]))
     rotations = np.rint((three * math.sqrt(0.5) + 0.5) * 255)
     scales, colors = np.asarray(gaussians.log_scales)[order], np.asarray(gaussians.sh_dc)[order, 0]
     of_scales, of_colors = codebook(scales), codebook(colors)
-    opacity = opacity_bytes(np.asarray(gaussians.logit_opacities)[order])
+    opacity = packing.opacity_bytes(np.asarray(gaussians.logit_opacities)[order])
     meta = {
         "version": 2,
         "asset": {"generator": "gsjax"},
@@ -202,12 +191,14 @@ def _read(path: Path, archive: zipfile.ZipFile, meta: dict[str, Any]) -> Gaussia
     logs = low + (high - low) * ((lower + 256 * upper) / _MOST_POSITION)
     with np.errstate(over="ignore"):
         means = np.sign(logs) * np.expm1(np.abs(logs))
-    return packed_gaussians(
+    return packing.packed_gaussians(
         path,
         means=means,
-        quats=of_smallest_three(quats[:, 3].astype(int) - _FIRST_TAG, (quats[:, :3] / 255 - 0.5) / math.sqrt(0.5)),
+        quats=packing.of_smallest_three(
+            quats[:, 3].astype(int) - _FIRST_TAG, (quats[:, :3] / 255 - 0.5) / math.sqrt(0.5)
+        ),
         log_scales=of_codebook(meta["scales"], scales[:, :3]),
-        logit_opacities=logits_of_bytes(colors[:, 3]),
+        logit_opacities=packing.logits_of_bytes(colors[:, 3]),
         sh_dc=of_codebook(meta["sh0"], colors[:, None, :3]),
         sh_rest=sh_rest,
         pixel_filter="mip" if meta.get("model") == "antialiased" or meta.get("antialias") else "classic",

@@ -20,18 +20,10 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.io import packing
 from gsjax.io.files import atomic_path, read_bytes
 from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
-from gsjax.io.packing import (
-    check_packable,
-    logits_of_bytes,
-    of_smallest_three,
-    opacity_bytes,
-    pull_in_outliers,
-    smallest_three,
-    unit_quats,
-)
 
 _MAGIC = 0x5053474E  # The bytes NGSP.
 _HEADER = struct.Struct("<IIIBBBB")  # magic, version, Gaussians, degree, fractional bits, flags, number of arrays (4)
@@ -85,9 +77,9 @@ def spz_bytes(gaussians: Gaussians, path: str | Path) -> tuple[bytes, int]:
     Raises:
         InputError: Values are not finite, the mass is beyond 2^23 scene units, or harmonics are of degree 4.
     """
-    check_packable(path, gaussians)
+    packing.check_packable(path, gaussians)
     turned = half_turned(jax.tree.map(lambda values: np.asarray(values, np.float64), gaussians))
-    means, far = pull_in_outliers(np.ascontiguousarray(turned.means), _REACH)
+    means, far = packing.pull_in_outliers(np.ascontiguousarray(turned.means), _REACH)
     farthest = float(np.abs(means).max(initial=2.0**-23))
     bits = min(23, math.floor(math.log2(_MOST_FIXED / farthest)))
     if bits < 0:
@@ -100,13 +92,13 @@ def spz_bytes(gaussians: Gaussians, path: str | Path) -> tuple[bytes, int]:
         "rest": np.rint(turned.sh_rest / steps) * steps * 128 + 128,
     }
     bytes_ = {name: np.clip(np.rint(values), 0, 255).astype(np.uint8) for name, values in numbers.items()}
-    largest, three = smallest_three(np.roll(unit_quats(turned.quats), -1, axis=1))
+    largest, three = packing.smallest_three(np.roll(packing.unit_quats(turned.quats), -1, axis=1))
     magnitudes = np.rint(np.abs(three) / _ROTATION_STEP).astype(np.uint32) | (three < 0).astype(np.uint32) << 9
     rotations = largest.astype(np.uint32) << 30 | magnitudes[:, 0] << 20 | magnitudes[:, 1] << 10 | magnitudes[:, 2]
     flags = _ANTIALIASED if gaussians.pixel_filter == "mip" else 0
     arrays = (
         fixed.view(np.uint8).reshape(-1, 4)[:, :3],
-        opacity_bytes(turned.logit_opacities),
+        packing.opacity_bytes(turned.logit_opacities),
         bytes_["colors"],
         bytes_["scales"],
         rotations.astype("<u4"),
@@ -150,7 +142,7 @@ def read_spz(path: str | Path) -> Gaussians:
         means=means.reshape(count, 3),
         quats=_first_three(rotations) if header.version == 2 else _smallest_three(rotations),
         log_scales=scales.reshape(count, 3) / 16 - 10,
-        logit_opacities=logits_of_bytes(opacities),
+        logit_opacities=packing.logits_of_bytes(opacities),
         sh_dc=(colors.reshape(count, 1, 3) - 127.5) * _DC_STEP,
         sh_rest=rest.reshape(count, bands, 3) / 128 - 1,
         pixel_filter="mip" if header.flags & _ANTIALIASED else "classic",
@@ -261,7 +253,7 @@ def _smallest_three(packed: np.ndarray) -> np.ndarray:
     """`[N, 4]` quaternions of 2 bits for the largest of (x, y, z, w), and a sign and 9 bits for each of the others."""
     codes = packed.view("<u4")[:, None] >> np.array([20, 10, 0], np.uint32) & 1023
     three = (codes & 511) * _ROTATION_STEP * np.where(codes > 511, -1, 1)
-    return np.roll(of_smallest_three(packed.view("<u4") >> 30, three), 1, axis=1)
+    return np.roll(packing.of_smallest_three(packed.view("<u4") >> 30, three), 1, axis=1)
 
 
 def _first_three(packed: np.ndarray) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 import gc
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import jax
@@ -27,9 +26,7 @@ class Compilations:
         monitoring.register_event_duration_secs_listener(self._note)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Listen no more."""
         monitoring.unregister_event_duration_listener(self._note)
 

@@ -4,7 +4,6 @@ import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -34,11 +33,9 @@ class Journal:
         self._compilations.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the bar."""
-        self._compilations.__exit__(kind, error, trace)
+        self._compilations.__exit__(*error)
         self.bar.close()
 
     @property
