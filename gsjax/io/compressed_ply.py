@@ -116,7 +116,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     with_bounds = {name for end in _bounds(_COLORS) for name in end} <= set(chunks.dtype.names or ())
     colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
     rest = ply_elements.stack_columns(harmonics, ply_elements.rest_names(path, harmonics.dtype.names or ()))
-    inside = (rest > 0) & (rest < 255)
+    rest = (np.where((rest > 0) & (rest < 255), (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST
     return packing.packed_gaussians(
         path,
         means=unpacked(vertices["packed_position"], _MEANS, _IN_SPACE),
@@ -124,9 +124,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
         log_scales=unpacked(vertices["packed_scale"], _SCALES, _IN_SPACE),
         logit_opacities=packing.logits_of_bytes(vertices["packed_color"] & 255),
         sh_dc=((colors - 0.5) / SH_C0)[:, None],
-        sh_rest=ply_elements.from_rest_columns(
-            (np.where(inside, (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST
-        ),
+        sh_rest=ply_elements.from_rest_columns(rest),
         pixel_filter=ply_elements.read_filter(header),
     )
 

@@ -171,7 +171,7 @@ def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
 
 
 def _cut(view: PinholeView, rows: slice, columns: slice) -> PinholeView:
-    """Some rows and columns of a view, whose `source_xy` is not finite where the photo has no pixel; `valid` is bool."""
+    """Some rows and columns of a view. Its `source_xy` is not finite where the photo has no pixel; `valid` is bool."""
     assert view.source_xy is not None and view.valid is not None
     source, valid = view.source_xy[rows, columns], view.valid[rows, columns]
     return replace(
