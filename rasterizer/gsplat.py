@@ -41,6 +41,17 @@ class Info(dict[str, Any]):
     def __missing__(self, name: str) -> Any:
         return DERIVED[name](self)
 
+    def __contains__(self, name: object) -> bool:
+        """Whether it can be read: a key of the lists needs the lists."""
+        return super().__contains__(name) or (name in DERIVED and (name not in OF_LISTS or "splats" in self))
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return the value, or `default` where the key cannot be read."""
+        try:
+            return self[name]
+        except KeyError:
+            return default
+
     def tree_flatten_with_keys(self):
         """The stored arrays are the children."""
         names = tuple(sorted(self))
@@ -89,6 +100,7 @@ DERIVED: dict[str, Callable[[Info], Any]] = {
     "isect_offsets": _isect_offsets,
     "flatten_ids": _flatten_ids,
 }
+OF_LISTS = "tiles_per_gauss", "isect_offsets", "flatten_ids"
 
 
 def _of_cameras(cameras: Array) -> Matrix:

@@ -1,6 +1,7 @@
 """What a finished run, or a file of Gaussians, offers to later stages: Gaussians, cameras, and where photos count."""
 
 import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -200,6 +201,11 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
         reduced = f"reduced by {run.downscale:g}" if run.downscale > 1 else "as they are"
         raise InputError(f"{folder}: was trained on photos {reduced}; there are none {zoom:g} times larger")
     root = run.manifest["scene"] if scene is None else scene
+    if scene is None and not os.path.isdir(root):
+        raise InputError(
+            f"{folder}: its data set is no longer in {root}; `gsjax train --out {folder} --resume --scene FOLDER` tells"
+            " where it was moved"
+        )
     loaded = load_scene(
         root,
         downscale=downscale,

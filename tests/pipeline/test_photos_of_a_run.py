@@ -119,7 +119,10 @@ def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp
 
     again = tmp_path / "again"
     shutil.move(place, again)
+    capfd.readouterr()
     assert cli.main(["eval", str(run)]) == 2
+    told = f"{run}: its data set is no longer in {place}; `gsjax train --out {run} --resume --scene FOLDER` tells where"
+    assert told in capfd.readouterr().err
     assert cli.main(["eval", str(run), "--scene", str(again), "--json", str(tmp_path / "scores.json")]) == 0
     assert json_files.read(tmp_path / "scores.json")["views"] == 1
     assert cli.main(["train", "--out", str(run), "--resume", "--scene", str(again)]) == 0

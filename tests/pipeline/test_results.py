@@ -47,7 +47,8 @@ def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp
     options = {"level": 0.1, "points": 5000}
     report = pipeline.mesh(moved, tmp_path / "mesh.ply", **options)
     assert report["settled"] is None
-    assert f"mesh: goes on without its photos: {tmp_path / 'gone'}: no such folder" in capsys.readouterr().err
+    told = f"mesh: goes on without its photos: {moved}: its data set is no longer in {tmp_path / 'gone'}; "
+    assert told in capsys.readouterr().err
     assert pipeline.mesh(run, tmp_path / "asked.ply", settled=False, **options) == report
     assert (tmp_path / "asked.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
 

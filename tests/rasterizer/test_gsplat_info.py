@@ -31,6 +31,16 @@ def test_every_backend_has_the_keys_that_it_can_fill(backend):
         info["flatten_ids" if backend == "reference" else "no_such"]
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_key_is_in_info_where_it_can_be_read(backend):
+    """gsplat's strategies assert that their keys are in it."""
+    info = render(PAIR, **{**OPTIONS, "backend": backend})[2]
+    assert all(name in info for name in KEYS | SIZES.keys())
+    assert all((name in info) == (backend != "reference") for name in KEYS_OF_LISTS)
+    assert (info.get("width"), info.get("no_such", 7), "no_such" in info) == (37, 7, False)
+    assert (info.get("flatten_ids") is None) == (backend == "reference")
+
+
 def test_the_lists_draw_the_same_image_through_the_stage_of_gsplat():
     image, alphas, info = render(PAIR, **OPTIONS, rasterize_mode="antialiased")
     colors = jnp.broadcast_to(PAIR.colors[None], (2, *PAIR.colors.shape))
