@@ -6,7 +6,8 @@ no photo and no normal map. What differs from the authors' code stands in docs/d
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +32,7 @@ FACTOR = 1 / 16  # of the density (sdf), so that its level 1 is beyond what 16 n
 EXTENTS = 10.0  # an error of the distance counts in this part of the camera extent (sdf)
 FAINTEST = 1e-16  # density that still counts
 THINNEST = 1e-6  # standard deviation, scene units, and least sum of weights
+CHUNK = 16_384  # points at once
 ON_LEVEL = 1e-6  # -2 log(density) under which a root has no slope to speak of
 
 
@@ -102,11 +104,11 @@ def _means(misfit: Misfit, gaussians: Gaussians, around: Around, among: Array) -
     def of_one(owner: Array, noise: Array) -> tuple[Array, Array, Array]:
         ids = around.table[owner]
         point = gaussians.means[owner] + SPREAD * rotate(axes[owner], noise * deviations[owner])
-        nearby = density_field.kernels_around(field, ids)
+        nearby = _kernels_around(field, ids)
         sample = Sample(point, gaussians.means[owner], normals[owner], nearby, jnp.mean(thickness[ids]))
         return *misfit(sample), _disagreement(sample, normals[ids], thickness[ids])
 
-    misfits, counts, disagreements = density_field.at_each(of_one, owners, noise)
+    misfits, counts, disagreements = _at_each(of_one, owners, noise)
     any_drawn = jnp.any(among)
     return masked_mean(misfits, counts & any_drawn), jnp.where(any_drawn, jnp.mean(disagreements), 0)
 
@@ -123,6 +125,22 @@ def _disagreement(sample: Sample, normals: Array, thickness: Array) -> Array:
     weights = density * off_plane / held(jnp.maximum(thickness, THINNEST)) ** 2
     weights = weights / jnp.maximum(jnp.sum(weights), THINNEST)
     return jnp.sum(jnp.square(sample.normal - jnp.sum(weights[:, None] * normals, axis=0)))
+
+
+def _kernels_around(field: Kernels, ids: Array) -> Kernels:
+    """The kernels of a row of `gsjax.meshing.knn`, `[k]` ids whose first is its own; that one again stands for none."""
+    again = (ids == ids[0]).at[0].set(False)
+    nearby = density_field.take(field, ids)
+    return replace(nearby, opacities=jnp.where(again, 0, nearby.opacities))
+
+
+def _at_each(function: Callable[..., Any], *rows: Array) -> Any:
+    """`function` of each row of some arrays of `[M, ...]`, stacked: `CHUNK` rows at a time, twice for the gradient.
+
+    So a sum over k neighbours takes memory for `CHUNK` times k of them, however many rows there are.
+    """
+    count = len(rows[0])
+    return jax.lax.map(jax.checkpoint(lambda row: function(*row)), rows, batch_size=min(CHUNK, count))
 
 
 def _distance(density: Array, beta: Array) -> Array:

@@ -6,9 +6,7 @@ Everything is written for one point; callers `vmap`. Value and gradient stay fin
 Gaussians: a scale counts as at least 1e-8, and a squared Mahalanobis distance as at most 1e8 (SuGaR's guards).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +17,6 @@ from gsjax.gaussians import Gaussians, opacities, rotation_matrices
 MIN_LOG_SCALE = -18.420680743952367  # log 1e-8
 MAX_DISTANCE = 1e4  # standard deviations
 TINY = 1e-30  # A squared inverse deviation under this belongs to a Gaussian without bounds.
-CHUNK = 16_384  # Places at once, where there are many.
 
 
 @jax.tree_util.register_dataclass
@@ -53,22 +50,6 @@ def kernels(gaussians: Gaussians) -> Kernels:
 def take(field: Kernels, neighbors: Array) -> Kernels:
     """The kernels that `neighbors` `[k]` (integers) names."""
     return jax.tree.map(lambda x: x[neighbors], field)
-
-
-def kernels_around(field: Kernels, ids: Array) -> Kernels:
-    """The kernels of a row of `gsjax.meshing.knn`, `[k]` ids whose first is its own; that one again stands for none."""
-    again = (ids == ids[0]).at[0].set(False)
-    nearby = take(field, ids)
-    return replace(nearby, opacities=jnp.where(again, 0, nearby.opacities))
-
-
-def at_each(function: Callable[..., Any], *rows: Array) -> Any:
-    """`function` of each row of some arrays of `[M, ...]`, stacked: `CHUNK` rows at a time, twice for the gradient.
-
-    So a sum over k neighbours takes memory for `CHUNK` times k of them, however many rows there are.
-    """
-    count = len(rows[0])
-    return jax.lax.map(jax.checkpoint(lambda row: function(*row)), rows, batch_size=min(CHUNK, count))
 
 
 def density(point: Array, nearby: Kernels) -> Array:

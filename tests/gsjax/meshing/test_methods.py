@@ -148,7 +148,6 @@ def test_one_entry_registers_a_method_for_its_name_the_help_and_auto(monkeypatch
     [
         ("poisson", {"cell": 0.1}, "--cell is an option of the method tsdf; poisson does not read it"),
         ("tsdf", {"level": 0.1}, "--level is an option of the method poisson; tsdf does not read it"),
-        ("agreed", {"level": 0.1}, "--level is an option of the method poisson; agreed does not read it"),
         (
             partial(extract_mesh),
             {"trim_quantile": 0.1},

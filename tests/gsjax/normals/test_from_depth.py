@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from gsjax.analytic import solids
 from gsjax.errors import InputError
-from gsjax.normals.axes import NAMED_AXES, apply_axes, axis_signs, detect_axes, written_axes
+from gsjax.normals.axes import NAMED_AXES, apply_axes, axis_signs, detect_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.scene.cameras import Camera, pixel_rays
 
@@ -261,11 +261,6 @@ def test_score_and_margin_are_mean_cosines(references):
     ]
     best, second = sorted(means)[:-3:-1]
     np.testing.assert_allclose([score, margin], [best, best - second], atol=1e-5)
-
-
-@pytest.mark.parametrize("signs", list(itertools.product([1, -1], repeat=3)))
-def test_axes_are_written_as_they_are_read(signs):
-    np.testing.assert_array_equal(axis_signs(written_axes(np.float32(signs))), signs)
 
 
 def test_axes_have_names_and_anything_else_is_an_error():
