@@ -158,7 +158,7 @@ def test_without_free_gaussians_those_of_the_run_need_not_be_there(place, tmp_pa
         pipeline.refine(run, tmp_path / "out", SETTINGS)
     assert not (tmp_path / "out").exists()
     monkeypatch.setattr(refinement, "refine", lambda settings, graph, data, state, *rest, **more: state)
-    monkeypatch.setitem(pipeline.refine.__globals__, "_finish", lambda *arguments: arguments[4])
+    monkeypatch.setitem(pipeline.refine.__globals__, "_write", lambda *arguments: arguments[2])
     hybrid = pipeline.refine(run, tmp_path / "out", replace(SETTINGS, keep_free=False))
     assert hybrid.free is None and hybrid.num_gaussians == BOUND
 

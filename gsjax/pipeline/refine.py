@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,12 +38,12 @@ from gsjax.report.page import report_if_installed
 from gsjax.report.view_pictures import picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, starting_point
-from gsjax.runs.photo_effects import PhotoEffects, write_photo_effects
+from gsjax.runs.photo_effects import write_photo_effects
 from gsjax.runs.relocation import relocate_scene
 from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
 from gsjax.runs.run import Run
 from gsjax.runs.splits import split_of
-from gsjax.scene import Scene, extent, preload
+from gsjax.scene import Frame, Scene, extent, preload
 from gsjax.scene.batches import Batches, decode, read_batches
 from gsjax.scene.meshes import Mesh
 from gsjax.training.capacity import largest_need
@@ -97,87 +97,108 @@ def refine(
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
     if resume and scene_folder is not None:
         relocate_scene(out, scene_folder)
-    scene = scene_of_run(run, scene=scene_folder)
-    result = open_result(run) if settings.keep_free else None
-    given = scene.similarity.mesh_to_local(read_mesh(source))
-    coarse, taken_out = prepare_mesh(given, settings.faces, settings.halved_share)
-    photos, rows = scene.train_frames, settings.per_triangle * coarse.num_faces
-    keep, lines = keep_photos(plain_bytes(photos), photos, rows, Path(out), free_memory())
+    task = _prepare(settings, trained, source, Path(out), scene_of_run(run, scene=scene_folder))
+    folder = _run_folder(task, out, resume=resume)
+    with runs.claim_run(folder):
+        if resume:  # An earlier version left none.
+            json_files.write(folder / "plan.json", _plan(settings, trained))
+        return _write(task, folder, *_fit(task, folder))
+
+
+class _Task(NamedTuple):
+    """What is refined, and on what; in local coordinates."""
+
+    settings: Refinement
+    trained: Run
+    source: Path  # of the mesh
+    scene: Scene
+    frames: tuple[Frame, ...]  # the training photos without what their cameras did to the light
+    data: Batches  # of these
+    mesh: Mesh
+    taken_out: dict[str, int]  # of the mesh, as of `prepare_mesh`
+    bound: BoundGaussians  # to the mesh
+    result: Result | None  # whose Gaussians may stay free
+
+
+def _prepare(settings: Refinement, trained: Run, source: Path, out: Path, scene: Scene) -> _Task:
+    """Read photos and mesh, and bind Gaussians to it."""
+    result = open_result(trained.folder) if settings.keep_free else None
+    mesh, taken_out = prepare_mesh(
+        scene.similarity.mesh_to_local(read_mesh(source)), settings.faces, settings.halved_share
+    )
+    photos, rows = scene.train_frames, settings.per_triangle * mesh.num_faces
+    keep, lines = keep_photos(plain_bytes(photos), photos, rows, out, free_memory())
     for line in lines:
         print(f"refine: {line}", file=sys.stderr)
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else preload(frame, keep) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
-    found = trained.photo_effects
-    frames = scene.train_frames
-    if found.appearances:
-        frames = tuple(preload(without_appearance(frame, found.appearances[frame.name]), keep) for frame in frames)
-    data, size = read_batches(frames, keep=keep), extent(frames)
+    frames, appearances = scene.train_frames, trained.photo_effects.appearances
+    if appearances:
+        frames = tuple(preload(without_appearance(frame, appearances[frame.name]), keep) for frame in frames)
+    data = read_batches(frames, keep=keep)
     if taken_out["decimated"] and settings.halved_share:
-        coarse = halved_where_seen(coarse, data, settings.faces)
-    behind = None if found.background is None else jnp.asarray(found.background)
+        mesh = halved_where_seen(mesh, data, settings.faces)
     bound = bind(
-        coarse,
+        mesh,
         per_triangle=settings.per_triangle,
-        thickness=settings.thickness * size,
+        thickness=settings.thickness * extent(frames),
         sh_degree=settings.sh_degree,
         opacity=settings.opacity,
         pixel_filter=settings.pixel_filter,
     )
     if not largest_need(bound, data):
-        raise InputError(f"{source}: no training view of {scene.root} sees any of its {coarse.num_faces} triangles")
+        raise InputError(f"{source}: no training view of {scene.root} sees any of its {mesh.num_faces} triangles")
+    return _Task(settings, trained, source, scene, frames, data, mesh, taken_out, bound, result)
 
-    background = trained.settings["model"]["background"]
-    asked = {**trained.settings, "mesh": str(source.resolve()), "refinement": config.to_dict(settings)}
-    folder = (
-        runs.reopen(out, asked, scene=scene.root)
-        if resume
-        else runs.create(
-            out,
-            asked,
-            scene=scene.root,
-            seed=settings.seed,
-            similarity=scene.similarity,
-            place=scene.place,
-            plan=_plan(settings, trained),
-            split=split_of(scene.frames),
-        )
-    )
-    optimizer = refinement.make_optimizer(settings, size, coarse.num_vertices)
 
-    def initial(rows: int | None) -> RefineState:
-        if result is None:
-            return refinement.initial_state(MixedGaussians(bound), optimizer)
-        # A checkpoint fills whatever rows it finds: their number is all that matters.
-        chosen = _kept(result, coarse, data) if rows is None else slice(rows - bound.num_gaussians)
-        return refinement.initial_state(with_free(bound, take(result.gaussians, chosen)), optimizer)
+def _run_folder(task: _Task, out: str | Path, *, resume: bool) -> Path:
+    """Create the folder of the run, or open it again."""
+    settings, scene = task.settings, task.scene
+    record = {**task.trained.settings, "mesh": str(task.source.resolve()), "refinement": config.to_dict(settings)}
+    if resume:
+        return runs.reopen(out, record, scene=scene.root)
+    about = {"similarity": scene.similarity, "place": scene.place, "split": split_of(scene.frames)}
+    return runs.create(out, record, scene=scene.root, seed=settings.seed, plan=_plan(settings, task.trained), **about)
 
+
+def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
+    """Train from the last checkpoint on, and return the Gaussians and what the report says of the training."""
+    settings, behind = task.settings, task.trained.photo_effects.background
+    optimizer = refinement.make_optimizer(settings, extent(task.frames), task.mesh.num_vertices)
     photo_report: dict[str, float] = {}
 
+    def initial(rows: int | None) -> RefineState:
+        if task.result is None:
+            return refinement.initial_state(MixedGaussians(task.bound), optimizer)
+        # A checkpoint fills whatever rows it finds: their number is all that matters.
+        free = _free_rows(task) if rows is None else slice(rows - task.bound.num_gaussians)
+        return refinement.initial_state(with_free(task.bound, take(task.result.gaussians, free)), optimizer)
+
     def move_mesh(bound: BoundGaussians) -> BoundGaussians:
-        mesh, report = refine_on_photos(to_mesh(bound), frames)
+        mesh, report = refine_on_photos(to_mesh(bound), task.frames)
         photo_report.update(report)
         return replace(bound, vertices=jnp.asarray(mesh.vertices))
 
-    with runs.claim_run(folder):
-        if resume:  # An earlier version left none.
-            json_files.write(folder / "plan.json", _plan(settings, trained))
-        state, capacity, seconds = starting_point(folder, initial)
-        with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
-            state = refinement.refine(
-                settings,
-                mesh_graph(np.asarray(state.gaussians.bound.faces)),
-                data,
-                state,
-                optimizer,
-                background=BACKGROUNDS[background] if behind is None else lambda key: behind,
-                observe=journal.note,
-                move_mesh=move_mesh,
-                capacity=capacity,
-            )
-            summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
-            summary["settled"] = photo_report or None
-            return _finish(folder, scene, background, found, state.gaussians, summary)
+    state, capacity, seconds = starting_point(folder, initial)
+    with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
+        state = refinement.refine(
+            settings,
+            mesh_graph(np.asarray(state.gaussians.bound.faces)),
+            task.data,
+            state,
+            optimizer,
+            background=BACKGROUNDS[_background(task)] if behind is None else lambda key: jnp.asarray(behind),
+            observe=journal.note,
+            move_mesh=move_mesh,
+            capacity=capacity,
+        )
+    summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": task.taken_out}
+    return state.gaussians, summary | {"settled": photo_report or None}
+
+
+def _background(task: _Task) -> str:
+    return task.trained.settings["model"]["background"]
 
 
 def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
@@ -231,52 +252,45 @@ def halved_where_seen(mesh: Mesh, data: Batches, count: int) -> Mesh:
     return halved
 
 
-def _kept(result: Result, mesh: Mesh, data: Batches) -> np.ndarray:
-    """`[N]` bool: the Gaussians of a run that show what the mesh does not. One line says how many."""
-    cast = ray_caster(mesh)
+def _free_rows(task: _Task) -> np.ndarray:
+    """`[N]` bool: the Gaussians of the run that show what the mesh does not. One line says how many."""
+    assert task.result is not None
+    cast, data = ray_caster(task.mesh), task.data
     targets = tqdm(data.views, desc="free Gaussians", unit="view", delay=QUIET)
-    depths = (depth_of_mesh(mesh, target.camera.viewmat, target.camera.K, *data.size, cast=cast) for target in targets)
-    kept = uncovered_gaussians(result.gaussians, data, depths, border(mesh), depth_mode=result.depth_mode)
-    print(f"refine: {kept.sum():,} of {len(kept):,} Gaussians stay free, where there is no mesh", file=sys.stderr)
-    return kept
+    depths = (
+        depth_of_mesh(task.mesh, target.camera.viewmat, target.camera.K, *data.size, cast=cast) for target in targets
+    )
+    depth_mode = task.result.depth_mode
+    free = uncovered_gaussians(task.result.gaussians, data, depths, border(task.mesh), depth_mode=depth_mode)
+    print(f"refine: {free.sum():,} of {len(free):,} Gaussians stay free, where there is no mesh", file=sys.stderr)
+    return free
 
 
-def _finish(
-    folder: Path,
-    scene: Scene,
-    background: str,
-    found: PhotoEffects,
-    hybrid: MixedGaussians,
-    summary: dict[str, Any],
-) -> dict[str, Any]:
+def _write(task: _Task, folder: Path, hybrid: MixedGaussians, summary: dict[str, Any]) -> dict[str, Any]:
+    """Write mesh, Gaussians and scores; return the report."""
+    scene, effects = task.scene, task.trained.photo_effects
     refined, gaussians = to_mesh(hybrid.bound), all_gaussians(hybrid)
     for name in ("mesh.ply", "mesh.glb"):
         write_mesh(folder / name, scene.similarity.mesh_to_world(refined), scene.place)
     world = scene.similarity.gaussians_to_world(gaussians)
     write_gaussians(folder / "gaussians.ply", world, scene.place, cameras=scene.camera_centers)
     write_views(folder, scene.frames)
-    write_photo_effects(folder, found)
-    summary = {
-        **score_images(
-            gaussians,
-            scene.held_out_frames,
-            background,
-            found=found.with_near_appearances(scene.frames),
-            align=align if found.moves else None,
-            depth_mode=DEPTH_OF_DISCS,
-            observe=picture_keeper(folder),
-        ),
-        "vertices": refined.num_vertices,
-        "faces": refined.num_faces,
-        "gaussians": hybrid.num_gaussians,
-        "bound": hybrid.bound.num_gaussians,
-        "free": hybrid.num_free,
-        **summary,
-    }
-    json_files.write(folder / "report.json", summary)
-    runs.update_manifest(folder, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
+    write_photo_effects(folder, effects)
+    scores = score_images(
+        gaussians,
+        scene.held_out_frames,
+        _background(task),
+        found=effects.with_near_appearances(scene.frames),
+        align=align if effects.moves else None,
+        depth_mode=DEPTH_OF_DISCS,
+        observe=picture_keeper(folder),
+    )
+    counts = {"gaussians": hybrid.num_gaussians, "bound": hybrid.bound.num_gaussians, "free": hybrid.num_free}
+    report = {**scores, "vertices": refined.num_vertices, "faces": refined.num_faces, **counts, **summary}
+    json_files.write(folder / "report.json", report)
+    runs.update_manifest(folder, status="done", peak_gib=round(peak_memory() / 2**30, 2), **report)
     report_if_installed(folder)
-    return summary
+    return report
 
 
 class _RefinementJournal(Journal):
