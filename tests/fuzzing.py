@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Callable
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,22 @@ def fuzz(attempt: Callable[[np.random.Generator], Any], *, usual: int) -> tuple[
     finally:
         _log(tried, *counts)
     return counts[0], counts[1]
+
+
+def fuzz_files(read: Callable[[], Any], *files: Path, usual: int) -> tuple[int, int]:
+    """As `fuzz`: one of the files, which are whole, is damaged, those of JSON in their values, and `read` called."""
+    whole = {file: file.read_bytes() for file in files}
+
+    def attempt(random: np.random.Generator) -> None:
+        file = files[random.integers(len(files))]
+        is_json = file.suffix == ".json"
+        file.write_bytes(damaged_json(json.loads(whole[file]), random) if is_json else damaged(whole[file], random))
+        try:
+            read()
+        finally:
+            file.write_bytes(whole[file])
+
+    return fuzz(attempt, usual=usual)
 
 
 def _log(tried: int, read: int, refused: int) -> None:

@@ -22,33 +22,18 @@ ABOUT = About(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what `run` takes."""
-    parser.add_argument("run_folder", metavar="RUN", help="folder that `gsjax train` made")
-    parser.add_argument("--json", metavar="FILE", help="also write the figures here")
-    parser.add_argument(
-        "--three-ways",
-        action="store_true",
-        help="also score pictures with the gains of the tracks, and after a fitted colour transform, as runs with"
-        " effects are scored",
-    )
-    parser.add_argument(
-        "--aligned",
-        action="store_true",
-        help="also score pictures from the poses that fit the photos best, as runs that move cameras are scored",
-    )
-    parser.add_argument(
-        "--zoom",
-        metavar="FACTOR",
-        type=finite,
-        nargs="+",
-        dest="zooms",
-        help="also score pictures at so many times the size of training, such as 0.5 2",
-    )
-    parser.add_argument(
-        "--mesh",
-        metavar="FILE",
-        help="also score this mesh: its texture or colours in the held-out photos, its shape where the truth is known",
-    )
-    parser.add_argument("--lpips", metavar="FILE", action="append", help="weights of LPIPS as an ONNX file, see"
+    add = parser.add_argument
+    add("run_folder", metavar="RUN", help="folder that `gsjax train` made")
+    add("--json", metavar="FILE", help="also write the figures here")
+    add("--three-ways", action="store_true", help="also score pictures with the gains of the tracks, and after"
+        " a fitted colour transform, as runs with effects are scored")  # fmt: skip
+    add("--aligned", action="store_true", help="also score pictures from the poses that fit the photos best, as"
+        " runs that move cameras are scored")  # fmt: skip
+    add("--zoom", metavar="FACTOR", type=finite, nargs="+", dest="zooms", help="also score pictures at so many"
+        " times the size of training, such as 0.5 2")  # fmt: skip
+    add("--mesh", metavar="FILE", help="also score this mesh: its texture or colours in the held-out photos, its"
+        " shape where the truth is known")  # fmt: skip
+    add("--lpips", metavar="FILE", action="append", help="weights of LPIPS as an ONNX file, see"
         " docs/normals.md; may be repeated (default: LPIPS is not scored)")  # fmt: skip
     add_moved_scene(parser)
 

@@ -20,10 +20,9 @@ ABOUT = About(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what `run` takes."""
-    parser.add_argument(
-        "source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, a file of Gaussians, or a mesh"
-    )
-    parser.add_argument("--out", metavar="DIR|FILM", required=True, help="folder for the pictures, or the film")
+    add = parser.add_argument
+    add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, a file of Gaussians, or a mesh")
+    add("--out", metavar="DIR|FILM", required=True, help="folder for the pictures, or the film")
     which = parser.add_mutually_exclusive_group()
     for views, text in (
         ("held-out", "only the held-out views"),

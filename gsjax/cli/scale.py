@@ -19,18 +19,11 @@ ABOUT = About(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what `run` takes."""
-    pixels = ("PHOTO", "X", "Y", "PHOTO", "X", "Y")
-    parser.add_argument("source", metavar="SCENE_OR_RUN", help="folder of a data set, or that `gsjax train` made")
-    parser.add_argument(
-        "--between",
-        nargs=6,
-        metavar=pixels,
-        required=True,
-        help="two pixels: a photo, and a pixel in it from its corner",
-    )
-    parser.add_argument(
-        "--is", dest="metres", type=metres, metavar="LENGTH", help="their real distance: 1.25m, 80cm, 12mm, 3ft, 5in"
-    )
+    add = parser.add_argument
+    add("source", metavar="SCENE_OR_RUN", help="folder of a data set, or that `gsjax train` made")
+    add("--between", nargs=6, metavar=("PHOTO", "X", "Y", "PHOTO", "X", "Y"), required=True, help="two pixels: a"
+        " photo, and a pixel in it from its corner")  # fmt: skip
+    add("--is", dest="metres", type=metres, metavar="LENGTH", help="their real distance: 1.25m, 80cm, 12mm, 3ft, 5in")
 
 
 def run(source: str, between: list[str], metres: float | None = None) -> dict[str, Any]:

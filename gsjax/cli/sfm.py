@@ -25,10 +25,9 @@ ABOUT = About(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what `run` takes."""
-    parser.add_argument(
-        "photos", metavar="PHOTOS_OR_VIDEO", help="folder of overlapping photos of one still scene, or a video of it"
-    )
-    parser.add_argument("--out", metavar="SCENE", required=True, help="folder to make: the data set for `gsjax train`")
+    add = parser.add_argument
+    add("photos", metavar="PHOTOS_OR_VIDEO", help="folder of overlapping photos of one still scene, or a video of it")
+    add("--out", metavar="SCENE", required=True, help="folder to make: the data set for `gsjax train`")
     add_reconstruction(parser)
 
 

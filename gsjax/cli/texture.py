@@ -17,12 +17,9 @@ ABOUT = About(
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what `gsjax.pipeline.texture` takes."""
-    parser.add_argument("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
-    parser.add_argument("--mesh", metavar="FILE", required=True, help="the mesh that `gsjax mesh` made of it")
-    parser.add_argument(
-        "--out", metavar="FILE", required=True, help=".glb, .usdz for phones, or .obj with .mtl and .png next to it"
-    )
-    parser.add_argument(
-        "--size", type=int, metavar="PX", help="side of the texture; default: as fine as the photos, 4096 at most"
-    )
-    parser.add_argument("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")
+    add = parser.add_argument
+    add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
+    add("--mesh", metavar="FILE", required=True, help="the mesh that `gsjax mesh` made of it")
+    add("--out", metavar="FILE", required=True, help=".glb, .usdz for phones, or .obj with .mtl and .png next to it")
+    add("--size", type=int, metavar="PX", help="side of the texture; default: as fine as the photos, 4096 at most")
+    add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")

@@ -296,7 +296,8 @@ def read_metrics(run: str | Path) -> list[dict[str, Any]]:
     """
     path = Path(run) / "metrics.jsonl"
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True) if path.exists() else []
-    return [_record(line, f"{path}, line {i}") for i, line in enumerate(lines, 1) if line.endswith("\n")]
+    whole = [(f"{path}, line {i}", line) for i, line in enumerate(lines, 1) if line.endswith("\n")]
+    return [json_files.parse(place, line, RECORD) for place, line in whole]
 
 
 def truncate_metrics(run: str | Path, step: int) -> None:
@@ -316,10 +317,6 @@ def read_settings(run: str | Path) -> dict[str, Any]:
     settings = config.merge(EARLIER, group_flat(json_files.read(file, {})))
     check(file, settings, SETTINGS)
     return settings
-
-
-def _record(line: str, where: str) -> dict[str, Any]:
-    return json_files.parse(where, line, RECORD)
 
 
 def _checkpoints(run: str | Path) -> list[tuple[int, Path]]:

@@ -87,7 +87,7 @@ class NormalSource:
         Raises:
             InputError: A map is damaged, or cannot be written.
         """
-        files = _files(self.folder, frames)
+        files = {name: self.folder / f"{place}.png" for name, place in map_places(frames).items()}
         missing = [frame for frame in frames if not files[frame.name].exists()]
         if missing:
             maps = self._foreign(gaussians, frames, missing) if self.given else self._own(gaussians, frames, missing)
@@ -193,10 +193,6 @@ def read_map(file: Path, frame: Frame) -> np.ndarray:
         found = f"{pixels.shape[1]}x{pixels.shape[0]}"
         raise InputError(f"{file}: normal map is {found}, its frame {frame.width}x{frame.height}")
     return (pixels ^ np.uint8(128)).view(np.int8)  # value - 128, without leaving 8 bits
-
-
-def _files(folder: Path, frames: Sequence[Frame]) -> dict[str, Path]:
-    return {name: folder / f"{place}.png" for name, place in map_places(frames).items()}
 
 
 def _spread(items: Sequence[T], count: int) -> list[T]:

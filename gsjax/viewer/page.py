@@ -163,7 +163,8 @@ class Page:
         """A browser is there: what it looks at is noted from now on."""
 
         async def moved(camera: viser.CameraHandle) -> None:
-            self.queue.move(client.client_id, _told(camera))
+            place = PageCamera(camera.position, camera.wxyz, camera.fov, camera.image_width, camera.image_height)
+            self.queue.move(client.client_id, place)
 
         client.camera.on_update(moved)
         await moved(client.camera)
@@ -234,10 +235,6 @@ def check_port(host: str = HOST, port: int = PORT) -> None:
     except OSError as error:
         way_out = "; choose another with --port" if error.errno == errno.EADDRINUSE else ""
         raise InputError(f"--port {port} on {host}: {error.strerror}{way_out}") from error
-
-
-def _told(camera: viser.CameraHandle) -> PageCamera:
-    return PageCamera(camera.position, camera.wxyz, camera.fov, camera.image_width, camera.image_height)
 
 
 def _send(client: viser.ClientHandle, picture: np.ndarray, form: Literal["png", "jpeg"]) -> None:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from fuzzing import damaged, damaged_json, fuzz
+from fuzzing import fuzz_files
 from PIL import Image
 
 from gsjax.errors import InputError
@@ -36,7 +36,7 @@ def read_all(root):
 
 
 def stated(root):
-    """A `transforms.json` with as much in it as there may be."""
+    """Writes a `transforms.json` with as much in it as there may be; returns the file."""
     photos(root / "images")
     (root / "p.ply").write_bytes(cloud())
     frames = []
@@ -46,19 +46,12 @@ def stated(root):
         frames.append({"file_path": f"images/{i}.png", "transform_matrix": (pose @ OPENGL).tolist(), "mask_path": None})
     frames[1] |= {"fl_x": 9.0, "k1": 0.02, "is_bad": False, "mask_path": "images/1.png"}
     names = [frame["file_path"] for frame in frames]
-    camera = {
-        "w": 8,
-        "h": 6,
-        "fl_x": 8.0,
-        "fl_y": 8.5,
-        "cx": 4.0,
-        "cy": 3.0,
-        "k1": 0.01,
-        "k2": 0.0,
-        "camera_angle_x": 0.8,
-    }
+    sizes = {"w": 8, "h": 6, "fl_x": 8.0, "fl_y": 8.5, "cx": 4.0, "cy": 3.0}
+    camera = sizes | {"k1": 0.01, "k2": 0.0, "camera_angle_x": 0.8}
     lists = {"train_filenames": names[:2], "test_filenames": names[2:], "test_frames": []}
-    return {**camera, **lists, "camera_model": "OPENCV", "ply_file_path": "p.ply", "frames": frames}
+    meta = {**camera, **lists, "camera_model": "OPENCV", "ply_file_path": "p.ply", "frames": frames}
+    (root / "transforms.json").write_text(json.dumps(meta))
+    return root / "transforms.json"
 
 
 def cloud():
@@ -68,15 +61,9 @@ def cloud():
 
 
 def test_fuzz_transforms(tmp_path):
-    meta = stated(tmp_path)
-    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    file = stated(tmp_path)
     read_all(tmp_path)
-
-    def attempt(random):
-        (tmp_path / "transforms.json").write_bytes(damaged_json(meta, random))
-        read_all(tmp_path)
-
-    assert min(fuzz(attempt, usual=150)) > 5
+    assert min(fuzz_files(lambda: read_all(tmp_path), file, usual=150)) > 5
 
 
 @pytest.mark.parametrize("text", [True, False])
@@ -88,18 +75,8 @@ def test_fuzz_colmap(colmap_scene, text):
     for point, number in enumerate(sorted(model.images), 1):
         model.add_observation(point, pycolmap.TrackElement(number, 0))
     (model.write_text if text else model.write_binary)(root / "sparse/0")
-    whole = {file: file.read_bytes() for file in sorted((root / "sparse/0").iterdir())}
     read_all(root)
-
-    def attempt(random):
-        file = list(whole)[random.integers(len(whole))]
-        file.write_bytes(damaged(whole[file], random))
-        try:
-            read_all(root)
-        finally:
-            file.write_bytes(whole[file])
-
-    assert min(fuzz(attempt, usual=150)) > 5
+    assert min(fuzz_files(lambda: read_all(root), *sorted((root / "sparse/0").iterdir()), usual=150)) > 5
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "tif", "webp", "gif", "bmp", "heic", "float.tif", "deep.png"])
@@ -112,20 +89,17 @@ def test_fuzz_photos_and_masks(tmp_path, suffix):
     exif = Image.Exif()
     exif[0x0112], exif[0x010F] = 6, "One"
     Image.fromarray(kinds.get(suffix, pixels)).save(file, **({} if suffix in ("gif", "bmp") else {"exif": exif}))
-    whole = file.read_bytes()
 
-    def attempt(random):
-        file.write_bytes(damaged(whole, random))
+    def read():
         image_size(file)
         assert read_image(file)[0].dtype == read_mask(file).dtype == np.uint8
 
-    fuzz(attempt, usual=40)
+    fuzz_files(read, file, usual=40)
 
 
 @pytest.mark.parametrize("suffix", ["npy", "npz", "compressed.npz", "png"])
 def test_fuzz_arrays_and_normal_maps(tmp_path, suffix):
-    photos(tmp_path / "images")
-    (tmp_path / "transforms.json").write_text(json.dumps(stated(tmp_path)))
+    stated(tmp_path)
     frames = load_scene(tmp_path).frames[:1]
     maps = tmp_path / "normals"
     maps.mkdir()
@@ -137,18 +111,16 @@ def test_fuzz_arrays_and_normal_maps(tmp_path, suffix):
         np.save(file, unit)
     else:
         (np.savez_compressed if "comp" in suffix else np.savez)(file, cam=unit)
-    whole = file.read_bytes()
     np.testing.assert_allclose(normal_maps(maps, frames)["0.png"]()[..., 2], -1, atol=1e-6)
 
-    def attempt(random):
-        file.write_bytes(damaged(whole, random))
+    def read():
         if suffix != "png":
             headers(file)
             read_arrays(file)
         load_truth(tmp_path, frames)
         normal_maps(maps, frames)["0.png"]()
 
-    assert fuzz(attempt, usual=80)[1] > (0 if suffix == "png" else 10)
+    assert fuzz_files(read, file, usual=80)[1] > (0 if suffix == "png" else 10)
 
 
 @pytest.mark.parametrize("name", ["bomb.npy", "bomb.npz"])
@@ -166,37 +138,26 @@ def test_arrays_of_more_than_memory_holds_are_told(tmp_path, name):
 
 
 def test_fuzz_truth(tmp_path):
-    (tmp_path / "transforms.json").write_text(json.dumps(stated(tmp_path)))
+    stated(tmp_path)
     frames = load_scene(tmp_path).frames[:1]
-    (tmp_path / "depth").mkdir()
-    files = {tmp_path / "depth/0.npz": None, tmp_path / "gt_points.npz": None}
-    np.savez(tmp_path / "depth/0.npz", depth=np.ones((6, 8), np.float32), label=np.ones((6, 8), np.uint8))
-    np.savez(tmp_path / "gt_points.npz", points=np.ones((4, 3)), normals=np.ones((4, 3)), label=np.zeros(4, np.uint8))
-    whole = {file: file.read_bytes() for file in files}
-    assert load_truth(tmp_path, frames) is not None
+    depth, points = tmp_path / "depth/0.npz", tmp_path / "gt_points.npz"
+    depth.parent.mkdir()
+    np.savez(depth, depth=np.ones((6, 8), np.float32), label=np.ones((6, 8), np.uint8))
+    np.savez(points, points=np.ones((4, 3)), normals=np.ones((4, 3)), label=np.zeros(4, np.uint8))
 
-    def attempt(random):
-        file = list(whole)[random.integers(2)]
-        file.write_bytes(damaged(whole[file], random))
-        try:
-            truth = load_truth(tmp_path, frames)
-            for maps in (truth.depths, truth.labels):
-                maps["0.png"]()
-        finally:
-            file.write_bytes(whole[file])
+    def read():
+        truth = load_truth(tmp_path, frames)
+        for maps in (truth.depths, truth.labels):
+            maps["0.png"]()
 
-    fuzz(attempt, usual=80)
+    assert fuzz_files(read, depth, points, usual=80)[0]
 
 
 def test_fuzz_lists_and_clouds(tmp_path):
-    (tmp_path / "transforms.json").write_text(json.dumps(stated(tmp_path)))
-
-    def attempt(random):
-        (tmp_path / "p.ply").write_bytes(damaged(cloud(), random))
-        (tmp_path / "hold_out.txt").write_bytes(damaged(b"# of these\n0.png\n1.png\n", random))
-        load_scene(tmp_path, hold_out=str(tmp_path / "hold_out.txt"))
-
-    fuzz(attempt, usual=80)
+    stated(tmp_path)
+    names = tmp_path / "hold_out.txt"
+    names.write_text("# of these\n0.png\n1.png\n")
+    fuzz_files(lambda: load_scene(tmp_path, hold_out=str(names)), tmp_path / "p.ply", names, usual=80)
 
 
 def test_whatever_is_in_the_place_of_a_file_is_one_line(tmp_path):

@@ -1,7 +1,9 @@
 """JSON files: a fault is one line at its place, whatever the file holds."""
 
+import json
+
 import pytest
-from fuzzing import damaged_json, fuzz
+from fuzzing import fuzz_files
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
@@ -88,9 +90,5 @@ def test_what_is_no_json_is_told(tmp_path, data, message):
 
 def test_fuzz_json(tmp_path):
     path = tmp_path / "a.json"
-
-    def attempt(random):
-        path.write_bytes(damaged_json(RIGHT, random))
-        json_files.read(path, SHAPE)
-
-    assert all(fuzz(attempt, usual=300))
+    path.write_text(json.dumps(RIGHT))
+    assert all(fuzz_files(lambda: json_files.read(path, SHAPE), path, usual=300))

@@ -7,7 +7,7 @@ import shutil
 import jax
 import numpy as np
 import pytest
-from fuzzing import damaged, damaged_json, fuzz
+from fuzzing import damaged_json, fuzz, fuzz_files
 from small_scenes import camera_at, cloud
 
 from gsjax import config, runs
@@ -102,24 +102,18 @@ def test_fuzz_checkpoints(tmp_path):
     stored = {"state": state, "rows": np.int64(20), "capacity": np.int64(9), "seconds": np.float64(1.5)}
     checkpoints.save(path, stored)
     (tmp_path / "metrics.jsonl").write_text("")
-    whole = path.read_bytes()
 
-    def attempt(random):
-        path.write_bytes(damaged(whole, random))
+    def read():
         begun = starting_point(tmp_path, lambda rows: State(cloud(rows or 20), np.int32(0)))
         assert begun.state.gaussians.means.shape == (20, 3)
 
-    assert all(fuzz(attempt, usual=150))
+    assert all(fuzz_files(read, path, usual=150))
 
 
 def test_fuzz_records_of_networks(tmp_path):
-    file, record = tmp_path / "net.json", config.to_dict(NETWORKS["dsine"])
-
-    def attempt(random):
-        file.write_bytes(damaged_json(record, random))
-        read_network(file)
-
-    assert all(fuzz(attempt, usual=200))
+    file = tmp_path / "net.json"
+    json_files.write(file, config.to_dict(NETWORKS["dsine"]))
+    assert all(fuzz_files(lambda: read_network(file), file, usual=200))
 
 
 @pytest.mark.parametrize("seconds", [np.nan, -1.0])
