@@ -112,15 +112,6 @@ def test_float32_against_the_float64_reference(make_scene, backend):
         assert error < 2e-5, (field, error)
 
 
-def test_most_pixels_of_the_stacks_stop_early():
-    scene = stacks()
-    alphas, info = evaluate(scene, "xla")[1:3]
-    assert np.mean(np.asarray(alphas) > 0.99) > 0.5
-    # Far more is listed than a pixel needs to stop.
-    lengths = np.diff(np.asarray(info["offsets"]))
-    assert np.median(lengths) > 15
-
-
 def test_what_no_pixel_sees_has_exactly_zero_gradient():
     scene = cloud()
     _, _, info, gradient = evaluate(scene, "xla")

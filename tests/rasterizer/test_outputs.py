@@ -11,7 +11,7 @@ from scenes import GAUSSIAN_FIELDS, cloud, evaluate, in_float64, relative_errors
 from tolerances import assert_close
 
 import rasterizer
-from rasterizer import GSPLAT, INRIA
+from rasterizer import GSPLAT
 
 BACKENDS = ("reference", "native", "xla", "pallas")
 AT_NIGHT = {each: pytest.param(each, marks=pytest.mark.long) for each in BACKENDS if each != "native"}
@@ -271,11 +271,3 @@ def test_many_channels_are_those_rendered_alone(channels):
     assert_close(alphas, expected_alphas)
     for field, error in relative_errors(gradient, expected).items():
         assert error < 1e-4, (field, error)
-
-
-def test_inria_rules_see_three_sigma_whatever_the_opacity():
-    faint = replace(SCENE, opacities=jnp.full(40, 0.02))
-    extents = {rules: render(faint, rules=rules, capacity=8192)[2]["extents"] for rules in (GSPLAT, INRIA)}
-    seen = np.asarray(extents[GSPLAT] > 0).all(-1)
-    ratio = (np.asarray(extents[INRIA]) / np.where(seen[..., None], extents[GSPLAT], 1))[seen]
-    np.testing.assert_allclose(ratio, 3 / np.sqrt(2 * np.log(0.02 * 255)), rtol=1e-5)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import camera_at, cloud, in_float64, intrinsics, make, single, textbook
+from scenes import camera_at, cloud, intrinsics, make, single, textbook
 from tolerances import assert_close
 
 from rasterizer import GSPLAT, INRIA, project
@@ -109,24 +109,3 @@ def test_extents_of_the_two_presets(project_scene):
     sigma = np.sqrt(0.94)
     assert_close(project_scene(faint, rules=GSPLAT).extents, np.full((1, 1, 2), np.sqrt(2 * np.log(2.55)) * sigma))
     assert_close(project_scene(faint, rules=INRIA).extents, np.full((1, 1, 2), 3 * sigma))
-
-
-def test_several_cameras_are_the_single_ones_stacked(project_scene):
-    scene = cloud(40, cameras=2)
-    both = project_scene(scene)
-    for c in range(2):
-        alone = project_scene(replace(scene, viewmats=scene.viewmats[c : c + 1], Ks=scene.Ks[c : c + 1]))
-        assert_close(jax.tree.map(lambda x, c=c: x[c : c + 1], both), alone)
-
-
-def test_float32_follows_float64(project_scene):
-    scene = cloud(40, seed=4)
-    single_precision = project_scene(scene)
-    with jax.enable_x64(True):
-        double = project_scene(in_float64(scene))
-    assert double.means2d.dtype == np.float64
-    np.testing.assert_array_equal(single_precision.visible, double.visible)
-    shown = np.asarray(double.visible)
-    for name in ("means2d", "depths", "conics", "extents"):
-        a, b = (np.asarray(getattr(x, name))[shown] for x in (single_precision, double))
-        assert_close(a, b, rtol=2e-5, atol=2e-5, why="a handful of roundings on values up to 40")

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
@@ -15,7 +14,7 @@ from gsjax.binding.bound import bind, means, to_gaussians, to_mesh
 from gsjax.binding.editing import rebound, with_vertices
 from gsjax.binding.mixed_gaussians import all_gaussians, with_free
 from gsjax.errors import InputError
-from gsjax.gaussians import covariances, take
+from gsjax.gaussians import take
 from gsjax.scene.meshes import Mesh
 
 CAMERA = camera_at(size=(24, 24))
@@ -75,17 +74,6 @@ def test_a_scene_looks_and_pulls_like_the_same_gaussians_without_a_mesh(free):
     assert np.all(np.abs(pulls.free.means).max(axis=1) > 1e-3), "each of the free ones is seen"
     for name in ("logit_opacities", "sh_dc", "sh_rest"):
         assert_close(getattr(pulls.bound, name), getattr(expected, name)[:12], kind="gradient")
-
-
-def test_covariances_have_the_scales_for_axes():
-    free = FREE["some"]
-    variances, axes = np.linalg.eigh(np.asarray(covariances(free), np.float64))
-    order = np.argsort(free.log_scales, axis=1)
-    assert_close(np.sqrt(variances).astype(np.float32), np.sort(np.exp(free.log_scales), axis=1))
-    x, y, z, w = np.moveaxis(np.asarray(free.quats)[:, [1, 2, 3, 0]], 1, 0)
-    columns = Rotation.from_quat(np.stack([x, y, z, w], -1)).as_matrix()
-    for one in range(3):
-        np.testing.assert_allclose(np.abs(np.diag(axes[one].T @ columns[one][:, order[one]])), 1, atol=1e-4)
 
 
 def test_every_gaussian_may_have_an_sh_degree_of_its_own():

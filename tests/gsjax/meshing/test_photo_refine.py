@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from meshes import square, turned
 
+from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.photo_refine import refine_on_photos
 from gsjax.scene import Frame, Pixels, frame_of, with_pixels
 from gsjax.scene.meshes import Mesh
@@ -91,11 +92,7 @@ def test_masked_pixels_and_hidden_sheets_tell_nothing(frames, kind):
     assert report == {"seen_share": 0.0, "moved_px": 0.0, "before": 0.0, "after": 0.0}
 
     front, back = sheet(0.0), sheet(0.5)
-    both = Mesh(
-        np.concatenate([front.vertices, back.vertices]),
-        np.concatenate([front.faces, back.faces + front.num_vertices]),
-        np.concatenate([front.colors, back.colors]),
-    )
+    both = concatenate_meshes([front, back])
     settled, report = refine_on_photos(both, frames)
     hidden = np.abs(back.vertices[:, :2]).max(axis=1) < 0.4  # From every camera the front is before these.
     np.testing.assert_array_equal(settled.vertices[front.num_vertices :][hidden], back.vertices[hidden])

@@ -5,6 +5,7 @@ from meshes import ball, mesh_of
 
 from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
 from gsjax.meshing.atlas import Atlas, TexturedMesh
+from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.pictures import smooth_pictures, texture_colors
 from gsjax.meshing.ray_queries import front_faces_only, ray_caster
 from gsjax.scene.cameras import Camera
@@ -52,7 +53,7 @@ def test_colours_are_interpolated_between_vertices():
 
 def test_the_nearer_of_two_is_seen():
     near, far = square(1.5, half=0.2), square(3.0, half=1.0, colors=(0, 0, 255))
-    both = Mesh(np.r_[near.vertices, far.vertices], np.r_[near.faces, far.faces + 4], np.r_[near.colors, far.colors])
+    both = concatenate_meshes([near, far])
     depth = depth_of_mesh(both, np.eye(4), K, WIDTH, HEIGHT)
     np.testing.assert_allclose(depth[covered(1.5, 0.2)], 1.5, rtol=1e-6)
     np.testing.assert_allclose(depth[covered(3.0, 1.0) & ~covered(1.5, 0.2)], 3.0, rtol=1e-6)
@@ -111,7 +112,7 @@ def test_smooth_pictures_mix_edges_by_the_share_that_is_covered():
 
 def test_smooth_pictures_show_a_mesh_from_outside_alone():
     near, far = square(1.5, half=0.2, turned=True), square(2.0, colors=(0, 0, 255))
-    both = Mesh(np.r_[near.vertices, far.vertices], np.r_[near.faces, far.faces + 4], np.r_[near.colors, far.colors])
+    both = concatenate_meshes([near, far])
     (picture,) = smooth_pictures(both, [Camera(jnp.eye(4), jnp.asarray(K, jnp.float32), WIDTH, HEIGHT)])
     np.testing.assert_allclose(picture.colors[14, 17], [0, 0, 1], atol=1e-6)
     np.testing.assert_allclose(picture.depth[14, 17], 2, atol=1e-3)

@@ -4,13 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from meshes import mesh_of
 
 from gsjax.errors import NoSurfaceError
+from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.regions import Box
 from gsjax.meshing.select_method import by_tracks, select_method
 from gsjax.meshing.track_visibility import SAME_SURFACE, track_rays, track_visibility
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
-from gsjax.scene.meshes import Mesh
 
 AWAY, PHOTOS = 10.0, 4
 PARTS = {"met": 40, "nothing": 30, "before": 20, "behind": 10}  # points that lie in each quarter of the wall
@@ -18,20 +19,15 @@ PARTS = {"met": 40, "nothing": 30, "before": 20, "behind": 10}  # points that li
 
 def rectangle(x, z, y=(-2, 2)):
     """Two triangles that face the cameras, which look along +z."""
-    corners = [[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]]
-    return np.array(corners, np.float32), np.array([[0, 2, 1], [0, 3, 2]], np.int32)
-
-
-def joined(*parts):
-    faces = np.concatenate([faces + 4 * index for index, (_, faces) in enumerate(parts)])
-    vertices = np.concatenate([vertices for vertices, _ in parts])
-    return Mesh(vertices, faces, np.zeros((len(vertices), 3), np.uint8))
+    return mesh_of([[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]], [[0, 2, 1], [0, 3, 2]])
 
 
 def wall(*, lump=0.5, moved=0.5):
     """From x = -4 to 4; the second quarter is missing."""
     lumps = rectangle((0.5, 1.5), AWAY - lump)  # It hides the points, which lie in the middle of their quarter.
-    return joined(rectangle((-4, -2), AWAY), rectangle((0, 2), AWAY), lumps, rectangle((2, 4), AWAY + moved))
+    return concatenate_meshes(
+        [rectangle((-4, -2), AWAY), rectangle((0, 2), AWAY), lumps, rectangle((2, 4), AWAY + moved)]
+    )
 
 
 def photographed(off=0.0):
@@ -87,7 +83,7 @@ def test_the_whole_wall_is_chosen_and_a_method_without_surface_passed_by(lines):
     def empty():
         raise NoSurfaceError("nothing")
 
-    ways = {"lumps": wall(moved=0.0), "whole": joined(rectangle((-4, 4), AWAY)), "part": wall()}
+    ways = {"lumps": wall(moved=0.0), "whole": rectangle((-4, 4), AWAY), "part": wall()}
     candidates = {name: lambda m=mesh: m for name, mesh in ways.items()}
     choice = select_method({"empty": empty} | candidates, by_tracks(lines))
     assert choice.method == "whole"

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
+from meshes import mesh_of, turned
 
 from gsjax.errors import InputError
+from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.ray_queries import closest_on_mesh
 from gsjax.metrics import geometry
 from gsjax.scene.meshes import Mesh, face_normals, signed_volume, vertex_normals
@@ -10,9 +12,7 @@ from gsjax.scene.meshes import Mesh, face_normals, signed_volume, vertex_normals
 def box(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = np.array([f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))], np.int32)
-    vertices = (corners * size + center).astype(np.float32)
-    return Mesh(vertices, faces, np.full((8, 3), 100, np.uint8))
+    return mesh_of(corners * size + center, [f for a, b, c, d in quads for f in ((a, b, c), (a, c, d))])
 
 
 def square_grid(count, z=0.0):
@@ -66,11 +66,7 @@ def test_surface_where_the_truth_has_no_samples_does_not_count():
     truth, normals = geometry.sample_surface(box(), 5_000, seed=1)
     alone = box()
     far = box((3.0, 3.0, 3.0), (20.0, 0.0, 0.0))
-    both = Mesh(
-        np.concatenate([alone.vertices, far.vertices]),
-        np.concatenate([alone.faces, far.faces + 8]),
-        np.concatenate([alone.colors, far.colors]),
-    )
+    both = concatenate_meshes([alone, far])
     expected = geometry.compare_to_truth(alone, truth, normals, samples=5_000)
     assert geometry.compare_to_truth(both, truth, normals, samples=5_000) == expected
 
@@ -81,18 +77,9 @@ def test_a_mesh_away_from_the_truth_is_refused():
         geometry.compare_to_truth(box(center=(20.0, 0.0, 0.0)), truth, normals)
     with pytest.raises(InputError, match="0 points"):
         geometry.nearest(np.zeros((0, 3)), truth)
-    flat = Mesh(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
+    flat = mesh_of(np.zeros((3, 3)), [[0, 1, 2]])
     with pytest.raises(InputError, match="without area"):
         geometry.sample_surface(flat, 10, seed=0)
-
-
-def joined(*meshes):
-    starts = np.cumsum([0, *(m.num_vertices for m in meshes)])
-    return Mesh(
-        np.concatenate([m.vertices for m in meshes]),
-        np.concatenate([m.faces + start for m, start in zip(meshes, starts, strict=False)]),
-        np.concatenate([m.colors for m in meshes]),
-    )
 
 
 def seen_of_box(count=5_000):
@@ -142,7 +129,7 @@ def test_what_is_nearest_to_a_side_that_no_camera_saw_does_not_count():
     far = box((3.0, 3.0, 3.0), (20.0, 0.0, 0.0))
     expected, same, wrong = (
         geometry.compare_to_surface(mesh, box(), *seen_of_box(), closest_on_mesh, samples=40_000)
-        for mesh in (alone, joined(alone, under, far), joined(alone, inside))
+        for mesh in (alone, concatenate_meshes([alone, under, far]), concatenate_meshes([alone, inside]))
     )
     assert expected["accuracy"] < 1e-7
     assert same["accuracy"] < 1e-7 and same["precision"] == 1.0
@@ -204,11 +191,10 @@ def test_normal_error_over_nothing_is_nan_with_count_zero():
 
 
 def test_a_surface_that_is_inside_out_is_as_near_and_as_steep_but_not_outward():
-    turned = Mesh(box().vertices, box().faces[:, ::-1].copy(), box().colors)
     seen = geometry.sample_surface(box(), 5_000, seed=1)
     for right, wrong in (
-        [geometry.compare_to_surface(mesh, box(), *seen, closest_on_mesh) for mesh in (box(), turned)],
-        [geometry.compare_to_truth(mesh, *seen) for mesh in (box(), turned)],
+        [geometry.compare_to_surface(mesh, box(), *seen, closest_on_mesh) for mesh in (box(), turned(box()))],
+        [geometry.compare_to_truth(mesh, *seen) for mesh in (box(), turned(box()))],
     ):
         assert right["outward_share"] > 0.97 and wrong["outward_share"] < 0.03
         assert wrong["normal_consistency"] == pytest.approx(right["normal_consistency"], abs=0.01)
