@@ -157,21 +157,10 @@ def bin_splats(
     rules: Rules,
     masks: Array | None = None,
 ) -> TilePairs:
-    """List, for every tile, the splats whose alpha passes the cut at one of its pixel centres, front to back.
+    """`rasterizer.bin_splats` in jnp.
 
     Depth-sorts the splats once, expands each into the tiles of its extent in that order, drops the tiles that its
     ellipse misses (exactly), and sorts once by tile. No array is larger than splats + capacity + tiles.
-
-    Args:
-        projection: Splats of `grid.num_cameras` cameras.
-        opacities: `[N]` or `[C, N]` opacity of each splat.
-        grid: The tiles. Static.
-        capacity: Length of the pair buffer. Static.
-        rules: Decides the alpha cut. Static.
-        masks: `[C, tiles_y, tiles_x]` bool, the tiles that are wanted; None for all. The others get empty lists.
-
-    Returns:
-        `TilePairs`, not differentiable. If `overflowed`, pairs are missing.
     """
     visible = projection.visible.reshape(-1)
     if visible.shape[0] == 0:

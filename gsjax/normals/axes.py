@@ -70,7 +70,7 @@ def axes_verdict(votes: np.ndarray, *, fewest: int = 100, majority: float = 0.8)
 
     Args:
         votes: `[7, 2]` counts.
-        fewest: Pixels that it takes to tell.
+        fewest: Pixels that a verdict needs.
         majority: Share of them that it takes.
     """
     total = votes.sum(axis=-1)

@@ -78,7 +78,7 @@ def smoothed_depth_normals(depth: Array, alphas: Array, camera: Camera, *, reduc
 
     Args:
         depth: `[H, W]` rendered expected depth, camera z; 0 where there is none.
-        alphas: `[H, W]` coverage, 0..1; pixels under one half do not count.
+        alphas: `[H, W]` coverage, 0..1; pixels under one half have weight 0.
         camera: The view.
         reduction: Side of the blocks, pixels. Windows have a standard deviation of 2 blocks and are shifted by up to
             4.8. `chosen_reduction` finds the one that a scene needs.
@@ -100,7 +100,7 @@ def smoothed_depth_normals(depth: Array, alphas: Array, camera: Camera, *, reduc
 
 
 def chosen_reduction(views: Iterable[tuple[Array, Array, Camera]]) -> int:
-    """The `reduction` that the noise of a scene asks for and its shapes allow, by what larger windows would change.
+    """The `reduction` that the noise of a scene requires and its shapes allow, by what larger windows would change.
 
     Bumps turn the normals of every window that is not much larger than they are, whatever the size of the image;
     shapes do not fit to planes any more once windows are as large as they. So: the largest windows that still fit

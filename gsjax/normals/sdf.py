@@ -52,7 +52,7 @@ def composite_directions(world: Array, gaussians: Gaussians, view: View, camera:
 def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     """`[H, W, 3]` the paper's estimator: jax.grad of `depth_sdf` at the visible means, composited by the rasterizer.
 
-    A mean off the image, or beside a pixel without depth, has no slope to read: it adds no direction and no gradient.
+    A mean off the image, or next to a pixel without depth, has no slope to read: it adds no direction and no gradient.
     """
     assert view.depth is not None, "the estimate reads the rendered depth"
     reads = jax.vmap(reads_depth, in_axes=(0, None, None))(gaussians.means, view.depth > 0, camera)
