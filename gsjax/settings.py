@@ -261,6 +261,8 @@ class Schedule:
             raise ValueError(f"dropout={self.dropout} is not at least 0 and below 1")
         if not self.phases:
             raise ValueError("there are no phases")
+        if not self.steps:
+            raise ValueError("the phases have no steps")
 
     @property
     def steps(self) -> int:

@@ -10,7 +10,7 @@ from gsjax.errors import InputError
 from gsjax.io.messages import print_once
 
 KNOWN = re.compile(r"[xyz]|n[xyz]|f_dc_[0-2]|f_rest_\d+|opacity|scale_[0-2]|rot_[0-3]|red|green|blue|alpha")
-FILTER = "filter_3d"  # In any case: of Mip-Splatting, GOF, RaDe-GS and MILo.
+FILTER = re.compile("filter_?3d", re.IGNORECASE)  # of Mip-Splatting, GOF, RaDe-GS and MILo.
 CHANGING = {  # What columns mean without which the others are no Gaussians as they are here.
     "Gaussians that move or fade over time": r"t|scal(e|ing)_t|rot_r_\d+|motion_\d+|omega_\d+|trbf_(center|scale)",
     "kernels other than Gaussians": r"beta|shape|nu(_degree)?",
@@ -29,7 +29,7 @@ def filter_column(path: Path, names: Iterable[str]) -> str | None:
     for what, pattern in CHANGING.items():
         if changing := [name for name in foreign if re.fullmatch(pattern, name.lower())]:
             raise InputError(f"{path}: holds {what} ({', '.join(_grouped(changing))}), which are not read")
-    filters = [name for name in foreign if name.lower() == FILTER]
+    filters = [name for name in foreign if FILTER.fullmatch(name)]
     report_unread(path, [name for name in foreign if name not in filters])
     return filters[0] if filters else None
 

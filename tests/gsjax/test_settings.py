@@ -62,6 +62,7 @@ def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
         ({"model": {"max_gaussians": 10**12}}, "max_gaussians=1000000000000 is above 2147483647"),
         ({"schedule": {"phases": [{"name": "a", "steps": 10**10}]}}, "steps=10000000000 is above 2147483647"),
         ({"schedule": {"phases": []}}, "there are no phases"),
+        ({"schedule": {"phases": [{"name": "a", "steps": 0}]}}, "the phases have no steps"),
         ({"seed": -1}, "seed=-1 is not between 0 and 4294967295"),
         ({"seed": 2**32}, "seed=4294967296 is not between 0 and 4294967295"),
         ({"rates": {"scales": float("inf")}}, "rates.scales is inf, expected a finite number"),

@@ -18,7 +18,7 @@ from gsjax.errors import InputError
 from gsjax.io.files import read_bytes
 from gsjax.meshing.files.glb import srgb_bytes
 from gsjax.meshing.files.named_files import NamedFiles
-from gsjax.meshing.files.parts import BORDER, Part
+from gsjax.meshing.files.parts import BORDER, Part, clamp_places
 from gsjax.scene.colors import srgb_to_linear
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -172,7 +172,7 @@ class _Glb:
                 texture = np.concatenate([texture, np.flip(texture, 1 - axis)], axis=1 - axis)
                 uvs[:, axis] /= 2
             elif wrap == CLAMPED:
-                uvs[:, axis] = np.clip(uvs[:, axis], 0, 1)
+                uvs[:, axis] = clamp_places(uvs[:, axis], texture.shape[1 - axis])
         return uvs, texture
 
     def _numbers(self, index: int) -> np.ndarray:

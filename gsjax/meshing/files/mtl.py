@@ -23,6 +23,7 @@ class Material:
     picture: str | None = None  # as the file names it
     scale: tuple[float, ...] = (1.0, 1.0)  # of places in the picture, before `origin` is added
     origin: tuple[float, ...] = (0.0, 0.0)
+    is_clamped: bool = False  # its border continues outside; otherwise it is repeated
 
 
 def read_materials(path: Path) -> dict[str, Material]:
@@ -60,9 +61,11 @@ def _color(words: Sequence[str]) -> tuple[int, ...]:
 def _place_picture(material: Material, rest: str) -> None:
     """Reads the options before a picture's name, and the name, which may have spaces."""
     words = rest.split()
-    material.scale, material.origin = Material.scale, Material.origin
+    material.scale, material.origin, material.is_clamped = Material.scale, Material.origin, Material.is_clamped
     while len(words) > 1 and words[0][:1] == "-" and words[0][1:].isalpha():
         option = words.pop(0).lower()
+        if option == "-clamp":
+            material.is_clamped = words[0].lower() == "on"
         if option not in PLACING:
             del words[: ARGUMENTS.get(option, 1)]
             continue

@@ -1,5 +1,7 @@
 """The files that a mesh file names, materials and pictures, and a line for each that gives no colours."""
 
+import os
+import unicodedata
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from urllib.parse import unquote
@@ -51,9 +53,12 @@ class NamedFiles:
         print_once(f"{self._path}: {name}, which it names, {fault}; the colours that it would give are missing")
 
     def _file(self, name: str) -> Path | None:
-        steps = [step for step in _plain(name).split("/") if step not in ("", ".", "..")]
-        files = (_below(self._path.parent, steps[first:]) for first in range(len(steps)))
-        return next((file for file in files if file is not None), None)
+        for spelling in dict.fromkeys((name, _of_windows(name))):
+            steps = [step for step in _plain(spelling).split("/") if step not in ("", ".", "..")]
+            for first in range(len(steps)):
+                if file := _below(self._path.parent, steps[first:]):
+                    return file
+        return None
 
     def _pixels(self, name: str, file: Path) -> np.ndarray | None:
         from gsjax.io.images import read_image  # It loads OpenCV.
@@ -69,13 +74,26 @@ def _plain(name: str) -> str:
     return name.strip().strip("\"'").replace("\\", "/")
 
 
+def _of_windows(name: str) -> str:
+    """A name that is no UTF-8, as Windows' Western European code page has it."""
+    try:
+        return os.fsencode(name).decode("utf-8")
+    except UnicodeDecodeError:
+        return os.fsencode(name).decode("cp1252", "replace")
+
+
+def _alike(name: str) -> str:
+    """Equal for names that differ by case, or by how accents are composed."""
+    return unicodedata.normalize("NFC", name).lower()
+
+
 def _below(folder: Path, steps: list[str]) -> Path | None:
     """The file at the end of some steps from a folder, in any case where the exact name is not there."""
     try:
         for step in steps:
             names = {entry.name: entry for entry in folder.iterdir()} if folder.is_dir() else {}
             same = [names[n] for n in (step, unquote(step)) if n in names]
-            same += [entry for name, entry in sorted(names.items()) if name.lower() == step.lower()]
+            same += [entry for name, entry in sorted(names.items()) if _alike(name) == _alike(step)]
             if not same:
                 return None
             folder = same[0]

@@ -19,7 +19,7 @@ from gsjax.io.packages import require
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.files.mtl import Material, read_materials
 from gsjax.meshing.files.named_files import NamedFiles
-from gsjax.meshing.files.parts import Part, split_corners, without_unused
+from gsjax.meshing.files.parts import Part, clamp_places, split_corners, without_unused
 from gsjax.scene.colors import shares, to_bytes
 from gsjax.scene.georeference import Place
 from gsjax.scene.meshes import Mesh
@@ -204,6 +204,9 @@ def _part(content: _Content, name: str, rows: np.ndarray, materials: dict[str, M
     color = Material.color if material is None else material.color
     if material is not None and texture is not None:
         places = np.concatenate([np.zeros((1, 2)), places * material.scale + material.origin]) * [1, -1] + [0, 1]
+        if material.is_clamped:
+            sides = texture.shape[1::-1]
+            places = np.stack([clamp_places(places[:, axis], sides[axis]) for axis in (0, 1)], axis=1)
         vertices, faces, uvs = split_corners(vertices, faces, places, face_places[rows])
         return Part(vertices, faces, np.full(vertices.shape, color, np.uint8), uvs, texture)
     if content.colors:

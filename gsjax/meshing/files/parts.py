@@ -74,6 +74,17 @@ def within_texture(part: Part) -> Part:
     return Part(vertices[:, :3], faces, vertices[:, 5:].astype(np.uint8), uvs, texture)
 
 
+def clamp_places(places: np.ndarray, side: int) -> np.ndarray:
+    """`[V]` places along one side of a texture, in texels, whose border continues outside 0..1.
+
+    Those outside come to the middle of the outermost texel: the border itself is also that of the next repetition.
+    """
+    if (np.abs(places - 0.5) <= 0.5 + BORDER).all():
+        return places
+    inset = max(0.5 / side, 2 * BORDER)
+    return np.clip(places, inset, 1 - inset)
+
+
 def merge_parts(parts: Sequence[Part]) -> Part:
     """One part: with a texture where all have one or one colour, else with the colours of each at its vertices.
 

@@ -23,7 +23,7 @@ def opacities(logits):
     return 1 / (1 + np.exp(-np.asarray(logits, np.float64)))
 
 
-@pytest.mark.parametrize("name", ["filter_3D", "filter_3d"])
+@pytest.mark.parametrize("name", ["filter_3D", "filter_3d", "filter3D"])
 def test_a_3d_filter_is_fused(tmp_path, capsys, name):
     """Deviations s become sqrt(s^2 + f^2), opacities o become o * sqrt(det / det')."""
     gaussians = cloud(50)

@@ -76,6 +76,8 @@ def obj(
         {"mtl": "newmtl m\nmap_Kd -s 1 1 1 -o 0 0 0 tex.png\n"},
         {"mtl": "newmtl m\nmap_Kd -blendu on -mm 0 1 -bm 0.5 -clamp on my  tex.png\n", "picture": "my tex.png"},
         {"mtl": "newmtl m\nmap_Kd -s 2 0.5 -o -1 tex.png\n", "uvs": (UVS + [1, 0]) / [2, 0.5]},
+        {"mtl": "newmtl m\nmap_Kd -clamp on tex.png\n", "uvs": 3 * UVS - 1},
+        {"mtl": "newmtl m\nmap_Kd -clamp off tex.png\n", "uvs": UVS + 1},
         {"mtl": "newmtl m\nmap_Kd Tex.PNG\n"},
         {"mtl": "newmtl m\nmap_Kd my%20tex.png\n", "picture": "my tex.png"},
         {"mtl": "\tnewmtl m\r\n\tMap_Kd\ttex.png  \r\n"},
@@ -90,6 +92,14 @@ def obj(
 )
 def test_an_obj_of_another_program_shows_its_texture(tmp_path, capsys, change):
     assert_four_colors(obj(tmp_path, **change))
+    assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["t\u00e4x.png".encode("cp1252"), "t\u00e4x.png".encode(), b"ta\xcc\x88x.png"])
+def test_a_picture_with_an_accent_is_found_as_any_program_writes_it(tmp_path, capsys, name):
+    path = obj(tmp_path, picture="t\u00e4x.png")
+    (tmp_path / "a.mtl").write_bytes(b"newmtl m\nmap_Kd " + name + b"\n")
+    assert_four_colors(path)
     assert not capsys.readouterr().err
 
 
@@ -219,6 +229,9 @@ STRIPS = [k for row in range(SIDE - 1) for k in (*ENDS[row], *STRIP[2 * SIDE * r
         {"mode": 6, "indices": [12, *range(5), 9, 14, 19, *range(24, 19, -1), 15, 10, 5, 0]},
         {"sampler": {"wrapS": 33648, "wrapT": 33648}, "uvs": [2, 0] - UVS * [1, -1]},  # mirrored in its second tile
         {"sampler": {"wrapS": 33071}},
+        {"sampler": {"wrapS": 33071, "wrapT": 33071}, "uvs": 3 * UVS - 1},
+        {"sampler": {"wrapS": 33071}, "uvs": UVS * [3, 1] + [-1, 1]},  # repeated downwards alone
+        {"sampler": {"wrapT": 33071}, "uvs": UVS * [1, 3] + [2, -1]},
         {"color": [1.0, 1.0, 1.0]},
     ],
 )  # fmt: skip
