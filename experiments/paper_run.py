@@ -175,10 +175,9 @@ def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = 
 def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
     """Writes the Gaussians at the end of the phase before the first with a regulariser."""
     from gsjax.io.ply import write_gaussians
-    from gsjax.pipeline.train import living_gaussians
 
     if progress.phase_done and progress.step == _regularised_from(settings):
-        write_gaussians(file, living_gaussians(progress.state.gaussians))
+        write_gaussians(file, progress.state.gaussians.alive())
 
 
 def _keep_those_of(earlier: Path, file: Path, settings: Settings) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 HOMES = {
     # Records.
     "Camera": "scene.cameras",
+    "Effect": "effects.simulation",
     "Frame": "scene",
     "Gaussians": "gaussians",
     "InputError": "errors",

@@ -124,7 +124,7 @@ def test_a_training_step_of_all_terms_and_effects_and_the_densification_after_it
     here = batches.replace(here, sky=np.ones((24, 32), bool))
     assert not rough_products(step, state, here, jax.random.key(0))
     for rule in DENSIFICATION_RULES:
-        grown = partial(densify, optimizer=OPTIMIZER, density=Density(rule=rule), budget=48)
+        grown = partial(densify, optimizer=OPTIMIZER, density=Density(), budget=48, rule=DENSIFICATION_RULES[rule])
         state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, DENSIFICATION_RULES[rule])
         assert not rough_products(grown, state, jax.random.key(0), jnp.float32(1.0), jnp.array(True))
 

@@ -158,7 +158,7 @@ def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
         if (left := len(set(block) - held_out)) < FEWEST:
             raise InputError(f"--blocks {count}: block {number} would have {left} photos to train on; make fewer")
         records.append({"low": cell.low, "high": cell.high, "photos": block})
-    return {"downscale": chosen_downscale(settings, loaded.frames), "directions": along, "cells": records}
+    return {"downscale": chosen_downscale(settings.photos, loaded.frames), "directions": along, "cells": records}
 
 
 def _seen(scene: Scene, names: Sequence[str], along: np.ndarray) -> list[np.ndarray]:
@@ -175,7 +175,7 @@ def _merge(planned: Blocks, out: Path) -> None:
     settings, count = planned.settings, len(planned.cells)
     parts = [_own(planned, number) for number in range(1, count + 1)]
     gaussians = concatenate(parts)
-    loaded, downscale, photos_line = at_size(planned.scene, settings, count * settings.schedule.steps)
+    loaded, downscale, photos_line = at_size(planned.scene, settings.photos, count * settings.schedule.steps)
     record = replace(plan(settings), downscale=downscale).record()
     with atomic_folder(out) as run:
         runs.create(

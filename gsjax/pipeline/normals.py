@@ -21,7 +21,7 @@ from gsjax.normals.axes import axes_verdict, facing_votes
 from gsjax.normals.fitted_depth import DepthFit
 from gsjax.planning.sizes import chosen_downscale
 from gsjax.scene import Frame, Scene
-from gsjax.settings import Photos, Settings
+from gsjax.settings import Photos
 
 SHOWN = 5  # rejected photos that a report names
 
@@ -116,7 +116,7 @@ def _sized(scene: str | Path, downscale: float | None, images: str | None) -> tu
     """The data set with frames of the size of their maps, and how many times smaller than the photos that is."""
     taken = load_scene(scene, images=images)
     # Not asking jax for its device: a GPU's memory is the network's here.
-    factor = chosen_downscale(Settings(photos=Photos(downscale=downscale)), taken.frames, on_cpu=False)
+    factor = chosen_downscale(Photos(downscale=downscale), taken.frames, on_cpu=False)
     return (taken if factor == 1 else load_scene(scene, downscale=factor, images=images)), factor
 
 

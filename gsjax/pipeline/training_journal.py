@@ -35,7 +35,7 @@ class TrainingJournal(Journal):
         """Begin at `step`; `whole` brings a state to one device."""
         super().__init__(run, "train", planned.steps, step, seconds)
         self.plan, self.scene, self.chosen = planned, scene, chosen
-        self._pace, self._whole, self._held = Pace(), whole, False
+        self._pace, self.whole, self._held = Pace(), whole, False
         self._ends = {phase.end for phase in planned.phases}
         self.evaluate_every = planned.logging.evaluate_every if scene.held_out_frames else 0
 
@@ -49,12 +49,12 @@ class TrainingJournal(Journal):
             count = int(count_alive(progress.state.gaussians))
             more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}
             if scored:
-                more |= self._held_out(self._whole(progress.state))
+                more |= self._held_out(self.whole(progress.state))
             self.log(progress.step, progress.metrics, f", {count:,} Gaussians", **more)
             self._tell_held(progress, count)
         if saved:
             # The last step of a phase leaves the buffer's capacity to the next phase.
-            self.save(progress.step, self._whole(progress.state), 0 if progress.phase_done else progress.capacity)
+            self.save(progress.step, self.whole(progress.state), 0 if progress.phase_done else progress.capacity)
 
     def looks(self, step: int) -> bool:
         """Whether the state after so many steps is logged, scored or saved."""

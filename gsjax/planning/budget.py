@@ -18,7 +18,6 @@ from gsjax.scene import Scene, preload
 from gsjax.scene.batches import NORMAL_UNIT
 from gsjax.settings import Settings
 from gsjax.training import initialize, loop, optimizers
-from gsjax.training.densification.rules import rule_named
 from gsjax.training.plan import plan
 from gsjax.training.state import initial_state
 
@@ -85,7 +84,7 @@ def budgeted(
     for name, settings in candidates.items():
         if not settings.schedule.steps:
             raise InputError(f"--budget: the phases of {name} have no steps to scale")
-        loaded, downscale, _ = at_size(scene, settings, settings.schedule.steps)
+        loaded, downscale, _ = at_size(scene, settings.photos, settings.schedule.steps)
         scenes[name] = loaded, settings.replace(photos={"downscale": downscale})
     name = next(iter(scenes))
     settings = scenes[name][1]
@@ -120,7 +119,7 @@ def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
     # Gaussians do not multiply meanwhile; the statistics for it are gathered all the same.
     density = replace(planned.density, start=ends[-1] + 1, stop=ends[-1] + 2, reset_every=0)
     optimizer = optimizers.make_optimizer(planned.rates, size, planned.rates.decay_steps)
-    state = initial_state(_grown(scene, settings), optimizer, rule_named(settings.density.rule))
+    state = initial_state(_grown(scene, settings), optimizer, planned.rule)
 
     def maps(value: float, dtype: type, scale: int, *channels: int) -> list[np.ndarray]:
         return [np.full((each.height // scale, each.width // scale, *channels), value, dtype) for each in frames]

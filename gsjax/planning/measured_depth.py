@@ -9,7 +9,7 @@ from gsjax.errors import InputError
 from gsjax.io.depth_maps import DepthMaps, Readings, open_depth_maps
 from gsjax.io.messages import print_once
 from gsjax.scene import Frame, Scene
-from gsjax.settings import Settings
+from gsjax.settings import Supervision
 
 FEWEST = 100  # points from which the scale is told
 WIDEST = 0.2  # median of |log(point / measured)| from which maps and points do not show one thing
@@ -41,18 +41,18 @@ class _Ratios(NamedTuple):
         return float(np.median(np.abs(np.log(self.values / self.middle))))
 
 
-def measured_depth(scene: Scene, settings: Settings) -> MeasuredDepth | None:
+def measured_depth(scene: Scene, given: Supervision) -> MeasuredDepth | None:
     """The depth maps of the training photos, in scene units; None where the settings name none.
 
     Raises:
         InputError: The folder, its unit or a map cannot be used, or the maps do not fit the scene's points.
     """
     frames = scene.train_frames
-    if settings.supervision.depth is None:
+    if given.depth is None:
         if listed := sum(frame.depth is not None for frame in frames):
             print_once(f"{scene.root}: lists depth maps of {listed} of {len(frames)} photos; --depth trains on them")
         return None
-    maps = open_depth_maps(scene.root, settings.supervision.depth, settings.supervision.depth_unit, frames)
+    maps = open_depth_maps(scene.root, given.depth, given.depth_unit, frames)
     factor, told = _factor(scene, maps)
 
     def depths(scale: int) -> Iterator[Readings]:

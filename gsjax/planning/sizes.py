@@ -12,12 +12,12 @@ from gsjax.rendering.engine import computes_on_cpu
 from gsjax.runs.run import Run
 from gsjax.runs.splits import with_split
 from gsjax.scene import Frame, Scene, extent
-from gsjax.settings import Settings
+from gsjax.settings import Photos
 
 
 def at_size(
     scene: str | Path,
-    settings: Settings,
+    photos: Photos,
     steps: int,
     downscale: float | None = None,
     *,
@@ -27,8 +27,8 @@ def at_size(
 
     Args:
         scene: Folder of the data set.
-        settings: The run.
-        steps: That it takes, for the line.
+        photos: Which photos, and at what size.
+        steps: That the run takes, for the line.
         downscale: What was chosen before; None: it is chosen now.
         run: One that was trained on the same data set, whose split, coordinates and world are taken.
     """
@@ -36,10 +36,10 @@ def at_size(
     opened = partial(
         load_scene,
         scene,
-        folder_masks=settings.photos.masks,
-        images=settings.photos.images,
-        hold_out=NONE if split else settings.photos.hold_out,
-        photos=None if split else settings.photos.subset,
+        folder_masks=photos.masks,
+        images=photos.images,
+        hold_out=NONE if split else photos.hold_out,
+        photos=None if split else photos.subset,
         similarity=run and run.similarity,
         place=run and run.place,
     )
@@ -48,7 +48,7 @@ def at_size(
         return with_split(scene, split, run=run.folder) if run and split else scene
 
     taken = taken_photos(opened())
-    factor = chosen_downscale(settings, taken.frames) if downscale is None else downscale
+    factor = chosen_downscale(photos, taken.frames) if downscale is None else downscale
     loaded = taken if factor == 1 else taken_photos(opened(downscale=factor))
     return loaded, factor, size_line(steps, taken.frames, loaded.frames)
 
@@ -75,23 +75,23 @@ def training_extent(scene: Scene) -> float:
     return size
 
 
-def chosen_downscale(settings: Settings, frames: Sequence[Frame], *, on_cpu: bool | None = None) -> float:
+def chosen_downscale(photos: Photos, frames: Sequence[Frame], *, on_cpu: bool | None = None) -> float:
     """How many times smaller the photos become: what the user said, else what the largest of them needs.
 
-    Its longer side is brought to `settings.longest_side` (1600 pixels, as 3DGS does), and on a CPU its area to
-    `settings.cpu_pixels` where the preset has that.
+    Its longer side is brought to `photos.longest_side` (1600 pixels, as 3DGS does), and on a CPU its area to
+    `photos.cpu_pixels` where the preset has that.
 
     Args:
-        settings: The run.
+        photos: The size that the settings request.
         frames: Photos as they were taken.
         on_cpu: Where it runs. None: as jax says.
     """
-    if settings.photos.downscale is not None:
-        return settings.photos.downscale
-    factor = max(1.0, max(max(f.width, f.height) for f in frames) / settings.photos.longest_side)
+    if photos.downscale is not None:
+        return photos.downscale
+    factor = max(1.0, max(max(f.width, f.height) for f in frames) / photos.longest_side)
     on_cpu = computes_on_cpu() if on_cpu is None else on_cpu
-    if on_cpu and settings.photos.cpu_pixels is not None:
-        factor = max(factor, math.sqrt(max(f.width * f.height for f in frames) / settings.photos.cpu_pixels))
+    if on_cpu and photos.cpu_pixels is not None:
+        factor = max(factor, math.sqrt(max(f.width * f.height for f in frames) / photos.cpu_pixels))
     return round(factor, 4)
 
 

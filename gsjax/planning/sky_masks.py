@@ -4,33 +4,34 @@ from gsjax.effects.sky import Masks
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Scene, valid_pixels
-from gsjax.settings import AUTO, NONE, Settings
+from gsjax.settings import AUTO, NONE
 
 
-def read_sky_masks(scene: Scene, settings: Settings, downscale: float) -> Masks | None:
-    """Where the masks that the settings name say that the photos show sky; None where they name none.
+def read_sky_masks(scene: Scene, folder: str | None, images: str | None, downscale: float) -> Masks | None:
+    """Where photos show sky, by the masks in a folder; None where no folder is named.
 
     Args:
         scene: As it is trained on.
-        settings: The run.
+        folder: Of the masks, within the data set or absolute; None or "auto": there are none.
+        images: Folder of the photos, as `gsjax.settings.Photos` has it.
         downscale: How many times smaller its photos are than they were taken.
 
     Raises:
         InputError: There is no such folder, it has no mask of any photo, or one does not fit its photo.
     """
-    if settings.effects.sky in (None, AUTO):
+    if folder in (None, AUTO):
         return None
-    folder = scene.root / settings.effects.sky  # An absolute path stays what it is.
-    if not folder.is_dir():
-        raise InputError(f"--sky {settings.effects.sky}: there is no such folder, in {scene.root} or elsewhere")
+    source = scene.root / folder  # An absolute path stays what it is.
+    if not source.is_dir():
+        raise InputError(f"--sky {folder}: there is no such folder, in {scene.root} or elsewhere")
     masked = load_scene(
         scene.root,
         downscale=downscale,
-        images=settings.photos.images,
+        images=images,
         hold_out=NONE,
         similarity=scene.similarity,
         place=scene.place,
-        masks=folder,
+        masks=source,
     )
     shown = {frame.name: valid_pixels(frame) for frame in masked.frames if frame.masked}
     masks = {}
@@ -40,5 +41,5 @@ def read_sky_masks(scene: Scene, settings: Settings, downscale: float) -> Masks 
         if is_sky is not None and is_sky.any():
             masks[frame.name] = is_sky
     if not masks:
-        raise InputError(f"--sky {settings.effects.sky}: no mask in {folder} is 0 anywhere where a photo may be used")
+        raise InputError(f"--sky {folder}: no mask in {source} is 0 anywhere where a photo may be used")
     return masks

@@ -52,7 +52,7 @@ def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) ->
     """
     frames = tuple(map(preload, tqdm(scene.train_frames, desc="photos", unit="photo", leave=False)))
     matched = {name: scene.points[ids].astype(np.float64) for name, (ids, _) in tracks_by_name(scene).items()}
-    scene = with_given_points(scene, settings)
+    scene = with_given_points(scene, settings.model.points)
     short = short_settings(settings, scene.train_frames, len(scene.points))
     planned = plan(short)
     size = training_extent(scene)
@@ -94,7 +94,9 @@ def _scored(
 ) -> list[Score]:
     """Scores of a scene's held-out photos after a validation run on the others; `matched`: name -> `[P, 3]` points."""
     started, _ = with_stereo_points(scene, variant.plan)
-    state = first_state(started, settings, variant.optimizer, {}, rows=settings.model.max_gaussians)
+    state = first_state(
+        started, settings.model, variant.plan.rule, variant.optimizer, {}, rows=settings.model.max_gaussians
+    )
     state = variant.train(scene.train_frames, state, observe)
     photos = batches.read_batches(scene.held_out_frames, scale=variant.plan.phases[0].scale)
     points = [matched.get(frame.name, np.zeros((0, 3))) for frame in scene.held_out_frames]

@@ -9,7 +9,7 @@ import numpy as np
 
 from gsjax.scene import Scene, tracks_by_name
 from gsjax.scene.cameras import viewmat_center
-from gsjax.settings import Settings
+from gsjax.settings import Schedule
 from gsjax.training.plan import Plan
 
 FAR_APART = 20.0  # degrees
@@ -59,8 +59,8 @@ class Gain(NamedTuple):
         return self.depth if abs(self.depth) > SURE * self.depth_error else 0.0
 
 
-Trial = Callable[[Scene, Settings, Callable[[Plan], Plan]], Gain]
-"""(data set, run, what holds a plan back) -> what that brings, see `gsjax.planning.sparse_view_trial.gain`."""
+Trial = Callable[[Callable[[Plan], Plan]], Gain]
+"""Regularization of a plan -> its gain in validation runs, see `gsjax.planning.sparse_view_trial.gain`."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Decision:
 def for_sparse_views(
     planned: Plan,
     scene: Scene,
-    settings: Settings,
+    schedule: Schedule,
     *,
     trial: Trial | None = None,
     before: Mapping[str, Any] | None = None,
@@ -109,7 +109,7 @@ def for_sparse_views(
     Args:
         planned: The run.
         scene: Its data set.
-        settings: Whether it is to be looked at (`sparse_views`); never of plain 3DGS.
+        schedule: Whether sparse views are regularized; never in vanilla 3DGS.
         trial: Tells what holding back brings. None: the angle between the photos decides, from `FAR_APART` on.
         before: What was decided when this run began.
         may_lower: Whether fewer Gaussians than planned may be the way: not of a run that goes on.
@@ -117,9 +117,9 @@ def for_sparse_views(
     Raises:
         InputError: The tracks or photos cannot be read, or the tracks name points that the scene does not have.
     """
-    if not settings.schedule.sparse_views or settings.schedule.vanilla:
+    if not schedule.sparse_views or schedule.vanilla:
         return planned, None
-    decision = Decision(**before) if before else _decide(planned, scene, settings, trial)
+    decision = Decision(**before) if before else _decide(planned, scene, trial)
     if decision is None or not decision.held_back:
         return planned, decision
     return held_back(planned, may_lower=may_lower), decision
@@ -130,12 +130,12 @@ def is_tried(photos: int, degrees: float | None, steps: int) -> bool:
     return (photos <= FEW or is_sparse(degrees)) and photos >= FEWEST and steps >= SHORTEST
 
 
-def _decide(planned: Plan, scene: Scene, settings: Settings, trial: Trial | None) -> Decision | None:
+def _decide(planned: Plan, scene: Scene, trial: Trial | None) -> Decision | None:
     photos, degrees = len(scene.train_frames), angle_between_photos(scene)
     by_angle = is_sparse(degrees)
     if trial is None or not is_tried(photos, degrees, planned.photos_seen):
         return Decision(photos, degrees, None, None, held_back=True) if by_angle else None
-    gain = trial(scene, settings, held_back)
+    gain = trial(held_back)
     return Decision(photos, degrees, gain.decibels, gain.error, gain.helps, gain.depth, gain.depth_error)
 
 

@@ -10,11 +10,11 @@ from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
 from gsjax.io.ply import read_points
 from gsjax.scene import Scene
-from gsjax.settings import Settings
+from gsjax.settings import Model
 from gsjax.stereo import stereo_points
 from gsjax.training import initialize
 from gsjax.training.buffers import bucket
-from gsjax.training.densification.rules import rule_named
+from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, initial_state
 
@@ -22,11 +22,11 @@ FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cl
 CLOUD_SHARE = 2  # The budget divided by this bounds the points by stereo; nobody looks for any in a larger cloud.
 
 
-def with_given_points(scene: Scene, settings: Settings) -> Scene:
-    """The scene with the cloud that the settings name, which only the start of training looks at, and no tracks."""
-    if settings.model.points is None:
+def with_given_points(scene: Scene, file: str | None) -> Scene:
+    """The scene with the points of a PLY, which only the start of training reads, and no tracks; None: as it is."""
+    if file is None:
         return scene
-    points, colors = read_points(settings.model.points, least=2)
+    points, colors = read_points(file, least=2)
     local = scene.similarity.points_to_local(scene.place.points_to_world(points))
     return replace(scene, points=local, point_colors=colors, tracks=None)
 
@@ -47,14 +47,14 @@ def with_stereo_points(scene: Scene, planned: Plan) -> tuple[Scene, tuple[str, .
     return replace(scene, points=points, point_colors=np.concatenate([scene.point_colors, found.colors])), (found.line,)
 
 
-def starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
+def starting_points(scene: Scene, model: Model) -> tuple[np.ndarray, np.ndarray]:
     """The cloud and its colours, with grey points far around it unless what is behind all is laid there by us."""
-    frames, count = scene.train_frames, min(settings.model.far_points, settings.model.max_gaussians // FAR_SHARE)
-    if not count or settings.model.background == "white" or any(frame.pixels().matte is not None for frame in frames):
+    frames, count = scene.train_frames, min(model.far_points, model.max_gaussians // FAR_SHARE)
+    if not count or model.background == "white" or any(frame.pixels().matte is not None for frame in frames):
         return scene.points, scene.point_colors
     far = initialize.far_points(scene.points, frames, count)
     # Of a cloud larger than the budget some stay out: the far ones must not be among them.
-    room = min(settings.model.max_gaussians - len(far), len(scene.points))
+    room = min(model.max_gaussians - len(far), len(scene.points))
     kept = np.linspace(0, len(scene.points) - 1, room).astype(int)
     grey = np.full((len(far), 3), 128, np.uint8)
     return np.concatenate([scene.points[kept], far]), np.concatenate([scene.point_colors[kept], grey])
@@ -62,22 +62,23 @@ def starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.nd
 
 def first_state(
     scene: Scene,
-    settings: Settings,
+    model: Model,
+    rule: DensificationRule,
     optimizer: optax.GradientTransformation,
     effects: Effects,
     rows: int | None = None,
     skies: sky.Masks = MappingProxyType({}),
 ) -> TrainState:
     """Step 0 in a buffer of so many rows; None: of those that the points take. No point lies in the photos' sky."""
-    points, colors = starting_points(scene, settings)
+    points, colors = starting_points(scene, model)
     if skies:
         stay = ~sky.lies_in(points, scene.train_frames, skies)
         points, colors = points[stay], colors[stay]
     first = initialize.from_points(
         points,
         colors,
-        capacity=rows or bucket(len(points), settings.model.max_gaussians),
-        sh_degree=settings.model.sh_degree,
-        pixel_filter=settings.model.pixel_filter,
+        capacity=rows or bucket(len(points), model.max_gaussians),
+        sh_degree=model.sh_degree,
+        pixel_filter=model.pixel_filter,
     )
-    return initial_state(first, optimizer, rule_named(settings.density.rule), effects)
+    return initial_state(first, optimizer, rule, effects)

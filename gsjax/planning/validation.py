@@ -102,9 +102,8 @@ class Variant:
             frames,
             self._extent,
             self.optimizer,
-            lambda _: [],
-            note,
-            self._effects,
+            observe=note,
+            effects=self._effects,
             skies=self._skies,
             make_step=self._make_step,
         )

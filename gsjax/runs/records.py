@@ -36,6 +36,7 @@ MANIFEST = {
     "stages?": _STAGES,
     "effects?": {"simulated": [str], "evidence?": {str: _EVIDENCE}, "validated?": {str: _VALIDATED}},
     "sparse_views?": _SPARSE_VIEWS,
+    "handed_in?": {"terms": [str], "effects": [str], "densification": bool},
     "split?": splits.SHAPE,
     **{f"{name}?": NUMBER for name in ("steps", "train_seconds", "psnr_near_gains", *_FIGURES)},
 }

@@ -17,7 +17,7 @@ from jax import Array
 from gsjax.gaussians import DEAD_LOGIT, is_alive
 from gsjax.settings import Density
 from gsjax.training import optimizers
-from gsjax.training.densification.rules import DensificationRule, rule_named
+from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.state import TrainState
 from rasterizer.engines import resolve
 
@@ -100,7 +100,7 @@ def with_room_to_densify(
     density: Density,
     most: int,
     *,
-    rule: DensificationRule | None = None,
+    rule: DensificationRule,
 ) -> TrainState:
     """The state in buffers that hold what the next densification makes of it, as far as `most` allows.
 
@@ -109,10 +109,10 @@ def with_room_to_densify(
         optimizer: The transformation that made the state.
         density: As `gsjax.training.state.densify` gets it.
         most: The most Gaussians.
-        rule: Who grows. None: the rule that `density.rule` names.
+        rule: Which Gaussians split, are cloned and pruned.
     """
     rows = state.gaussians.num_gaussians
     if rows >= most:
         return state
-    wanted = int(_wanted(state, rule=rule or rule_named(density.rule), density=density, budget=most))
+    wanted = int(_wanted(state, rule=rule, density=density, budget=most))
     return state if wanted <= rows else lengthen(state, optimizer, bucket(wanted, most))

@@ -1,7 +1,7 @@
 """The host loop over the phases: what each compares with and learns from, and when Gaussians multiply."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from jax import Array
 from jax.sharding import Mesh
 
 from gsjax.effects import sky
-from gsjax.effects.simulation import Effects
+from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.scene import Frame, Keep, batches, in_memory
 from gsjax.scene.batches import Batch, Batches
 from gsjax.settings import Settings
@@ -69,8 +69,9 @@ class Work:
     frames: Sequence[Frame]  # training photos, best in memory: every phase reads them
     extent: float  # of the cameras, scene units
     optimizer: optax.GradientTransformation  # the transformation that made the state
-    prior: NormalsPrior  # gives normals to the first phase that needs them
-    observe: Callable[[Progress], None]  # called after every step
+    _: KW_ONLY
+    prior: NormalsPrior | None = None  # gives normals to the first phase that needs them
+    observe: Callable[[Progress], None] = lambda progress: None  # called after every step
     effects: Effects = field(default_factory=dict)  # the state must be made for them, their photos be `frames`
     mesh: Mesh | None = None  # devices that share the views of a step; None: one device with one view a step
     depths: Depths | None = None  # where a term needs measured depth
@@ -88,9 +89,11 @@ def fit(
     state: TrainState,
     optimizer: optax.GradientTransformation,
     *,
-    prior: NormalsPrior,
-    observe: Callable[[Progress], None],
+    prior: NormalsPrior | None = None,
+    observe: Callable[[Progress], None] = lambda progress: None,
     terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
+    densification: DensificationRule | None = None,
+    effects: Effects = NO_EFFECTS,
     depths: Depths | None = None,
     capacity: int | None = None,
 ) -> TrainState:
@@ -102,9 +105,11 @@ def fit(
         extent: As in `Work`.
         state: Where to start; step 0 or a checkpoint. Its buffers are taken.
         optimizer: The transformation that made the state.
-        prior: As in `Work`.
+        prior: As in `Work`; None where no term needs normals.
         observe: As in `Work`.
         terms: The run's own terms of the loss, see `gsjax.training.plan.plan`.
+        densification: The run's own rule, see `gsjax.training.plan.plan`.
+        effects: Those that are simulated; the state is made for them.
         depths: As in `Work`.
         capacity: Pair buffer to continue with; None counts.
 
@@ -115,7 +120,8 @@ def fit(
         InputError: A weight has no term, a term cannot be computed, a loss or a gradient is not finite, or the device
             has no room for so many Gaussians at this size.
     """
-    work = Work(plan(settings, terms), frames, extent, optimizer, prior, observe, depths=depths)
+    planned = plan(settings, terms, tuple(effects), densification)
+    work = Work(planned, frames, extent, optimizer, prior=prior, observe=observe, effects=effects, depths=depths)
     check_terms(work.plan, frames)
     return follow(work, state, capacity)
 
@@ -168,6 +174,7 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
     scale = phase.scale * phase.surface_scale
     surface = _photos(work, phase, scale)
     if "normals" in phase.needs:
+        assert work.prior is not None, "the plan has such a term only where there are normals"
         surface = batches.with_normals(surface, work.prior(state), scale, work.keep)
     if "measured" in phase.needs:
         assert work.depths is not None, "the plan has such a term only where there is measured depth"

@@ -15,7 +15,7 @@ from gsjax.effects import transients
 from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
-from gsjax.training.densification.rules import DensificationRule, rule_named
+from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
 from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms, weights_of_data
 from gsjax.training.terms.checking import as_terms, check_term
 
@@ -72,6 +72,7 @@ class Plan:
     normals: str | None = None  # folder of the maps; None: those of the run's own depth, where a term asks for any
     effects: tuple[str, ...] = ()  # that are simulated
     stereo_points: int = 0  # that are looked for before the first step, see `gsjax.stereo`
+    rule: DensificationRule = DENSIFICATION_RULES["adc"]  # of the phases that densify
     sky_weight: float = 0.0  # of the term `sky`, which phases have with the effect of that name
 
     @property
@@ -197,6 +198,7 @@ def plan(
     settings: Settings,
     terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     effects: Iterable[str] = (),
+    densification: DensificationRule | None = None,
 ) -> Plan:
     """The plan of a run.
 
@@ -210,11 +212,12 @@ def plan(
         terms: The run's own terms of the loss by name, beside the library's or in their place. Of a bare function it is
             found out what it needs.
         effects: Names of those that are simulated: masks of transients delay densification.
+        densification: The run's own rule; None: the one that `density.rule` names.
 
     Raises:
         InputError: A weight has no term, or a term needs data that the run does not have.
     """
-    known = {**TERMS, **as_terms(terms)}
+    known, rule = {**TERMS, **as_terms(terms)}, densification or rule_named(settings.density.rule)
     phases, begin = [], 0
     for phase in settings.schedule.phases:
         wanted = _weighed(settings, phase, known)
@@ -227,10 +230,16 @@ def plan(
                 f"schedule.phases.{phase.name}.weights.{named}: effects.sky_weight weighs it where photos show sky"
             )
         end = begin + _fewer(phase.steps, settings.schedule.views_per_step)
-        rule = rule_named(settings.density.rule) if phase.density_control else None
         cull = 0.0 if settings.schedule.vanilla else phase.cull_below
         planned = PlannedPhase(
-            phase.name, begin, end, phase.image_scale, wanted, rule, cull, dropout=settings.schedule.dropout
+            phase.name,
+            begin,
+            end,
+            phase.image_scale,
+            wanted,
+            rule if phase.density_control else None,
+            cull,
+            dropout=settings.schedule.dropout,
         )
         if any(each.is_dear for each in wanted):
             planned = replace(planned, surface_every=phase.surface_every, surface_scale=phase.surface_scale)
@@ -249,6 +258,7 @@ def plan(
         density=_density(settings.density, views),
         logging=_logging(settings.logging, views),
         stereo_points=settings.model.stereo_points,
+        rule=rule,
         sky_weight=settings.effects.sky_weight,
     ).with_effects(tuple(effects))
 

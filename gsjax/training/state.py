@@ -15,7 +15,7 @@ from gsjax.gaussians import Gaussians, is_alive
 from gsjax.settings import Density
 from gsjax.training import optimizers
 from gsjax.training.densification import gradient_driven
-from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
+from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule
 
 
 @jax.tree_util.register_dataclass
@@ -59,7 +59,7 @@ def densify(
     optimizer: optax.GradientTransformation,
     density: Density,
     budget: int,
-    rule: DensificationRule | None = None,
+    rule: DensificationRule,
 ) -> TrainState:
     """Densify within `budget` Gaussians; moments follow their Gaussian, statistics start anew.
 
@@ -73,12 +73,11 @@ def densify(
         optimizer: The transformation that made the state.
         density: Thresholds.
         budget: The most Gaussians.
-        rule: Who grows. None: the rule that `density.rule` names.
+        rule: Which Gaussians split, are cloned and pruned.
 
     Returns:
         The state afterwards, in arrays of the same shapes.
     """
-    rule = rule or rule_named(density.rule)
     count = rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
     gaussians, moved = rule.densify(
         state.gaussians,

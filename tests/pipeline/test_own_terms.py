@@ -119,7 +119,7 @@ def test_bare_functions_are_terms_that_need_what_they_read(rounder, scene, tmp_p
     ],
 )
 def test_a_term_of_a_later_phase_is_tried_before_any_photo_is_read(scene, tmp_path, monkeypatch, own, line):
-    monkeypatch.setattr(sys.modules["gsjax.pipeline.train"], "kept", None)  # What reads a photo.
+    monkeypatch.setattr(sys.modules["gsjax.planning.preparation"], "preload", None)  # What reads a photo.
     with pytest.raises(InputError, match=f"^{line}"):
         pipeline.train(scene, tmp_path / "run", ENDED, terms={**terms(), **own})
     assert not (tmp_path / "run").exists()

@@ -15,9 +15,8 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
-from gsjax.pipeline.train import _planned
 from gsjax.pipeline.training_journal import TrainingJournal
-from gsjax.planning import sparse_view_trial, sparse_views
+from gsjax.planning import preparation, sparse_view_trial, sparse_views
 from gsjax.planning.sparse_views import Gain
 from gsjax.presets import PRESETS
 from gsjax.runs.result import scene_of_run
@@ -101,9 +100,13 @@ def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
 
 
-def test_a_run_keeps_the_number_of_gaussians_that_memory_bore_when_it_began(run, scene):
+def test_a_run_keeps_the_number_of_gaussians_that_memory_bore_when_it_began(run, scene, tmp_path):
     assert json_files.read(run / "plan.json")["max_gaussians"] == SETTINGS["model"]["max_gaussians"]
-    assert _planned(scene, config.parse(Settings, SETTINGS), {}, {"max_gaussians": 300}).max_gaussians == 300
+    shutil.copytree(run, tmp_path / "run")
+    json_files.write(tmp_path / "run/plan.json", json_files.read(run / "plan.json") | {"max_gaussians": 300})
+    settings = config.parse(Settings, SETTINGS)
+    how = {"resume": True, "warm_start": None, "devices": 1}
+    assert preparation.ask(scene, tmp_path / "run", settings, {}, None, {}, **how).plan.max_gaussians == 300
 
 
 def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene, tmp_path, monkeypatch, capsys):
@@ -113,7 +116,7 @@ def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene,
         asked.append(planned.max_gaussians)
         return replace(scene, points=scene.points[::-1], point_colors=scene.point_colors[::-1]), ("found some",)
 
-    monkeypatch.setitem(pipeline.train.__globals__, "with_stereo_points", reversed_order)
+    monkeypatch.setattr(preparation, "with_stereo_points", reversed_order)
     settings = config.parse(Settings, SETTINGS)
     train_until_killed(8, scene, tmp_path / "run", settings)
     assert asked == [900] and "train: found some\n" in capsys.readouterr().err
@@ -288,7 +291,8 @@ def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, cap
         "hold-out": "list.txt, line 1: there is no photo 004.jpg; the nearest name is 004.png",
         "normals": "maps/001.png: normal map is 40x40, its frame 48x40",
     }
-    assert cli.main(["train", str(scene), "--out", str(tmp_path / "run"), *options[fault]]) == 2
+    plain = ["--set", "schedule.sparse_views=false"]  # No trial comes first.
+    assert cli.main(["train", str(scene), "--out", str(tmp_path / "run"), *options[fault], *plain]) == 2
     *progress, error = capsys.readouterr().err.splitlines()
     assert error.startswith("gsjax: error: ") and error.endswith(told[fault])
     assert not any("Error" in line for line in progress)

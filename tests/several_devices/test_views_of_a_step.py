@@ -190,8 +190,7 @@ def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_
             frames,
             1.0,
             optimizer,
-            lambda _: [],
-            lambda progress: told.append(jax.device_get(progress.state)),
+            observe=lambda progress: told.append(jax.device_get(progress.state)),
             mesh=mesh,
         )
         return jax.device_get(follow(work, data_parallel.replicate(state, mesh))), told

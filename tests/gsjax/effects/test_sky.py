@@ -25,6 +25,7 @@ from gsjax.scene.batches import decode, read_batches, with_skies
 from gsjax.scene.cameras import Camera, look_at
 from gsjax.settings import EffectChoice, Model, Rates, Settings
 from gsjax.training.densification.gradient_driven import is_alive
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
 
@@ -230,11 +231,11 @@ def on_disk(tmp_path):
 
 def test_masks_that_are_given_are_read_at_the_photos_size(on_disk):
     scene = load_scene(on_disk)
-    masks = read_sky_masks(scene, Settings(effects=EffectChoice(sky="sky")), 1.0)
+    masks = read_sky_masks(scene, "sky", None, 1.0)
     assert masks is not None and list(masks) == ["0.png"]
     np.testing.assert_array_equal(masks["0.png"], np.arange(72)[:, None].repeat(96, 1) < 20)
-    assert read_sky_masks(scene, Settings(), 1.0) is None
-    assert read_sky_masks(scene, Settings(effects=EffectChoice(sky="auto")), 1.0) is None
+    assert read_sky_masks(scene, None, None, 1.0) is None
+    assert read_sky_masks(scene, "auto", None, 1.0) is None
 
 
 @pytest.mark.parametrize(
@@ -249,7 +250,7 @@ def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
     if shape is not None:
         write_image(on_disk / "sky/0.png", np.full(shape, 255, np.uint8))
     with pytest.raises(InputError, match=fault):
-        read_sky_masks(load_scene(on_disk), Settings(effects=EffectChoice(sky=folder)), 1.0)
+        read_sky_masks(load_scene(on_disk), folder, None, 1.0)
 
 
 def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
@@ -259,7 +260,9 @@ def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
     assert chosen.names == ("background", "sky") and chosen.skies.keys() == found.keys()
     assert chosen.evidence is not None and chosen.evidence["simulated"] == ["background", "sky"]
     optimizer = make_optimizer(Rates(), 1.0, 100)
-    state = first_state(scene, settings, optimizer, chosen.effects, skies=chosen.skies)
+    state = first_state(
+        scene, settings.model, DENSIFICATION_RULES["adc"], optimizer, chosen.effects, skies=chosen.skies
+    )
     means = np.asarray(state.gaussians.means)[np.asarray(is_alive(state.gaussians))]
     assert len(scene.points) < len(means) < len(scene.points) + 200
     assert not sky.lies_in(means, scene.frames, found).any()

@@ -13,7 +13,7 @@ from gsjax.io.depth_windows import on_grid, window_of
 from gsjax.io.scenes import load_scene
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.scene import Origin, Pixels, frame_of
-from gsjax.settings import Settings, Supervision
+from gsjax.settings import Supervision
 
 
 def frame(width, height, focal=100.0, center=None):
@@ -134,7 +134,7 @@ def listed(tmp_path):
 )
 def test_maps_that_transforms_lists_are_read_in_its_unit(listed, root, unit, metres, named):
     scene = load_scene(listed(**root), hold_out="none")
-    measured = measured_depth(scene, Settings(supervision=Supervision(depth="auto", depth_unit=unit)))
+    measured = measured_depth(scene, Supervision(depth="auto", depth_unit=unit))
     assert measured is not None and f"of 3 of 3 photos, {named}; no points tell the scale" in measured.line
     for depth, trust in measured.depths(2):
         np.testing.assert_allclose(depth, scene.similarity.length_to_local(metres), rtol=1e-5)
@@ -143,7 +143,7 @@ def test_maps_that_transforms_lists_are_read_in_its_unit(listed, root, unit, met
 
 def test_listed_maps_are_named_where_they_are_not_asked_for(listed, capfd):
     scene = load_scene(listed(), hold_out="none")
-    assert measured_depth(scene, Settings()) is None
+    assert measured_depth(scene, Supervision()) is None
     assert f"{scene.root}: lists depth maps of 3 of 3 photos; --depth trains on them" in capfd.readouterr().err
 
 
@@ -163,5 +163,5 @@ def test_listed_maps_that_cannot_serve_are_one_line(listed, fault, message):
     if fault == "K":
         (root / "lidar/depth.json").write_text('{"intrinsics": [[0, 0, 1], [0, 1, 1], [0, 0, 1]]}')
     with pytest.raises(InputError, match=message) as caught:
-        measured_depth(load_scene(root, hold_out="none"), Settings(supervision=Supervision(depth="auto")))
+        measured_depth(load_scene(root, hold_out="none"), Supervision(depth="auto"))
     assert "\n" not in str(caught.value)

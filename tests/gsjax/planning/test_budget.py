@@ -89,9 +89,7 @@ class Machine:
     def __init__(self, monkeypatch, **paces):
         self.now, self.paces, self.measured = 0.0, paces, []
         monkeypatch.setattr(budget.time, "perf_counter", lambda: self.now)
-        monkeypatch.setattr(
-            budget, "at_size", lambda scene, settings, steps: (scene, 1 + bool(settings.photos.cpu_pixels), "")
-        )
+        monkeypatch.setattr(budget, "at_size", lambda scene, photos, steps: (scene, 1 + bool(photos.cpu_pixels), ""))
         monkeypatch.setattr(budget, "measure", self.measure)
 
     def measure(self, scene, settings):

@@ -26,6 +26,7 @@ from gsjax.scene import Pixels, frame_of
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
 from gsjax.settings import Model, Phase, Schedule, Settings
+from gsjax.training.densification.rules import rule_named
 from gsjax.training.plan import plan
 
 SETTINGS = Settings(
@@ -62,7 +63,9 @@ def validation(scene, settings=SETTINGS):
         plan(settings),
         scene.train_frames,
         training_extent(scene),
-        lambda short, optimizer, effects, skies: first_state(scene, short, optimizer, effects, skies=skies),
+        lambda short, optimizer, effects, skies: first_state(
+            scene, short.model, rule_named(short.density.rule), optimizer, effects, skies=skies
+        ),
     )
 
 

@@ -67,7 +67,7 @@ def scene_of(root, frames, *, similarity=None, noise=0.0, millimetres=2000, coun
 
 def test_points_tell_what_a_metre_is(tmp_path, frames):
     scene = scene_of(tmp_path, frames)
-    measured = measured_depth(scene, Settings(supervision=Supervision(depth="depth", depth_unit="mm")))
+    measured = measured_depth(scene, Supervision(depth="depth", depth_unit="mm"))
     assert measured is not None
     assert "of 3 of 3 photos, in mm; 1 m is 0.5" in measured.line
     for (found, trust), camera in zip(measured.depths(1), CAMERAS, strict=True):
@@ -75,18 +75,18 @@ def test_points_tell_what_a_metre_is(tmp_path, frames):
         np.testing.assert_allclose(found, true_depth(camera), rtol=1e-3)
         assert (trust == 255).all()
     assert next(iter(measured.depths(2)))[0].shape == (12, 16)
-    assert measured_depth(scene, Settings()) is None
+    assert measured_depth(scene, Supervision()) is None
 
 
 def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path, frames):
     doubled = Similarity(2.0)  # of files in metres
     tracked = scene_of(tmp_path, frames, similarity=doubled, millimetres=500)
     for scene, said in ((tracked, "the scene is in metres"), (replace(tracked, tracks=None), "no points tell the")):
-        measured = measured_depth(scene, Settings(supervision=Supervision(depth="depth", depth_unit="mm")))
+        measured = measured_depth(scene, Supervision(depth="depth", depth_unit="mm"))
         assert measured is not None and said in measured.line
         np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
     placed = replace(tracked, place=Place(scale=3.0))  # a unit of the files is three metres
-    own = measured_depth(placed, Settings(supervision=Supervision(depth="depth", depth_unit="scene")))
+    own = measured_depth(placed, Supervision(depth="depth", depth_unit="scene"))
     assert own is not None
     np.testing.assert_allclose(next(iter(own.depths(1)))[0], 2 * 3 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
 
@@ -94,16 +94,14 @@ def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path
 @pytest.mark.parametrize(("unit", "in_a_metre"), [("mm", 1000), ("cm", 100), ("m", 1)])
 def test_every_unit_is_as_long_as_its_name_says(tmp_path, frames, unit, in_a_metre):
     in_metres = replace(scene_of(tmp_path, frames, millimetres=in_a_metre), tracks=None)
-    measured = measured_depth(in_metres, Settings(supervision=Supervision(depth="depth", depth_unit=unit)))
+    measured = measured_depth(in_metres, Supervision(depth="depth", depth_unit=unit))
     assert measured is not None
     np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
 
 
 def test_maps_of_something_else_are_refused(tmp_path, frames):
     with pytest.raises(InputError, match=r"depth: its depth and the points of the scene differ by \d+ % at any scale"):
-        measured_depth(
-            scene_of(tmp_path, frames, noise=0.5), Settings(supervision=Supervision(depth="depth", depth_unit="mm"))
-        )
+        measured_depth(scene_of(tmp_path, frames, noise=0.5), Supervision(depth="depth", depth_unit="mm"))
 
 
 def test_the_term_is_in_every_phase_unless_a_phase_says_otherwise():
@@ -120,7 +118,7 @@ def test_the_term_is_in_every_phase_unless_a_phase_says_otherwise():
     with pytest.raises(ValueError, match="vanilla is plain 3DGS"):
         Settings(supervision=Supervision(depth="depth"), schedule=Schedule(vanilla=True))
     with pytest.raises(ValueError, match="depth_unit=mm is the unit of no maps"):
-        Settings(supervision=Supervision(depth_unit="mm"))
+        Supervision(depth_unit="mm")
 
 
 def rendered_error(gaussians):

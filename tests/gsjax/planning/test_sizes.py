@@ -34,7 +34,7 @@ def photo(width, height):
 )
 def test_the_size_is_the_users_or_what_the_largest_photo_and_the_machine_bear(sizes, settings, on_cpu, expected):
     frames = [photo(*size) for size in sizes]
-    assert chosen_downscale(Settings(photos=Photos(**settings)), frames, on_cpu=on_cpu) == expected
+    assert chosen_downscale(Photos(**settings), frames, on_cpu=on_cpu) == expected
 
 
 def test_one_line_says_the_size_and_how_to_keep_the_photos_own():

@@ -93,7 +93,7 @@ def test_another_share_and_more_points_that_are_asked_for_stay():
     "settings", [SETTINGS.replace(schedule={"sparse_views": False}), SETTINGS.replace(schedule={"vanilla": True})]
 )
 def test_unasked_for_nothing_is_looked_at(settings):
-    assert for_sparse_views(PLAN, arc(FAR_APART + 1), settings, trial=never) == (PLAN, None)
+    assert for_sparse_views(PLAN, arc(FAR_APART + 1), settings.schedule, trial=never) == (PLAN, None)
 
 
 @pytest.mark.parametrize("degrees", [FAR_APART - 1, FAR_APART + 1])
@@ -101,7 +101,7 @@ def test_unasked_for_nothing_is_looked_at(settings):
 def test_the_angle_decides_where_no_trial_does(degrees, trial):
     """A run that begins in another's checkpoint has no beginning to try, and a short one no time."""
     asked, is_far = SETTINGS.replace(schedule={"phases": SHORT_PHASES}) if trial else SETTINGS, degrees > FAR_APART
-    found, decision = for_sparse_views(plan(asked), arc(degrees), asked, trial=trial)
+    found, decision = for_sparse_views(plan(asked), arc(degrees), asked.schedule, trial=trial)
     assert found == (held_back(plan(asked)) if is_far else plan(asked))
     assert (decision is not None) == is_far
     if is_far:
@@ -115,7 +115,7 @@ def test_the_angle_decides_where_no_trial_does(degrees, trial):
 @pytest.mark.parametrize("brings", [0.4, -0.4])
 @pytest.mark.parametrize("degrees", [4.0, FAR_APART + 1])
 def test_trials_decide_of_few_photos_and_what_they_found_is_told(degrees, brings):
-    found, decision = for_sparse_views(PLAN, arc(degrees), SETTINGS, trial=lambda *_: Gain(brings, 0.1))
+    found, decision = for_sparse_views(PLAN, arc(degrees), SETTINGS.schedule, trial=lambda *_: Gain(brings, 0.1))
     assert found == (held_back(PLAN) if brings > 0 else PLAN)
     assert decision.held_back == (brings > 0)
     assert f"{brings:+.1f} +-0.1 dB" in decision.line(found)
@@ -134,7 +134,7 @@ def test_trials_decide_of_few_photos_and_what_they_found_is_told(degrees, brings
     ],
 )
 def test_depth_decides_where_pictures_are_not_sure(gain, helps):
-    found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS, trial=lambda *_: gain)
+    found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=lambda *_: gain)
     assert gain.helps == decision.held_back == helps
     assert found == (held_back(PLAN) if helps else PLAN)
     told = gain.depth is not None
@@ -144,13 +144,13 @@ def test_depth_decides_where_pictures_are_not_sure(gain, helps):
 
 def test_a_run_begun_before_depth_was_judged_goes_on():
     known = {"photos": PHOTOS, "degrees": 30.0, "gain": 0.4, "error": 0.1, "held_back": True}
-    assert for_sparse_views(PLAN, arc(4.0), SETTINGS, trial=never, before=known)[1] == Decision(**known)
+    assert for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=never, before=known)[1] == Decision(**known)
 
 
-def test_a_trial_is_of_the_run_and_holds_back_as_the_run_would_be():
+def test_a_trial_regularizes_as_the_run_would_be():
     told = []
-    for_sparse_views(PLAN, scene := arc(4.0), SETTINGS, trial=lambda *given: told.append(given) or Gain(0.0, 0.0))
-    assert told == [(scene, SETTINGS, held_back)]
+    for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=lambda *given: told.append(given) or Gain(0.0, 0.0))
+    assert told == [(held_back,)]
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_many_photos_side_by_side_and_short_runs_are_not_tried(photos, degrees, 
 def test_a_run_that_goes_on_is_as_it_was_decided(gain):
     error, was_held = None if gain is None else 0.1, gain is None or gain > 0
     known = asdict(Decision(PHOTOS, 30.0, gain, error, held_back=was_held))
-    found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS, trial=never, before=known, may_lower=False)
+    found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=never, before=known, may_lower=False)
     assert asdict(decision) == known
     assert found == (held_back(PLAN, may_lower=False) if was_held else PLAN)
 

@@ -104,11 +104,12 @@ def test_buffers_that_are_as_short_as_can_be_stay(monkeypatch):
 @pytest.mark.parametrize("rule", DENSIFICATION_RULES)
 def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of_the_whole_budget(monkeypatch, rule):
     monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
-    key, density = jax.random.key(1), DENSITY[rule]
+    key, density, how = jax.random.key(1), DENSITY[rule], {"rule": DENSIFICATION_RULES[rule]}
+    short = with_room_to_densify(trained(SHORT, rule), OPTIMIZER, density, LONG, **how)
     ended = []
-    for state in (with_room_to_densify(trained(SHORT, rule), OPTIMIZER, density, LONG), trained(LONG, rule)):
-        flags = {"optimizer": OPTIMIZER, "density": density, "budget": LONG}
-        ended.append(densify(state, key, jnp.float32(1.0), jnp.asarray(False), **flags))
+    for state in (short, trained(LONG, rule)):
+        how |= {"optimizer": OPTIMIZER, "density": density, "budget": LONG}
+        ended.append(densify(state, key, jnp.float32(1.0), jnp.asarray(False), **how))
     grown, whole = ended
     assert SHORT < grown.gaussians.num_gaussians == 32 < LONG
     assert int(count_alive(whole.gaussians)) == ALIVE + 10 > SHORT
@@ -117,10 +118,10 @@ def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of
 
 @pytest.mark.parametrize("most", [SHORT, LONG])
 def test_rows_are_added_only_when_they_are_wanted_and_allowed(most):
-    calm = Density(gradient=1e9)
+    calm, rule = Density(gradient=1e9), DENSIFICATION_RULES["adc"]
     state = trained(SHORT)
-    assert with_room_to_densify(state, OPTIMIZER, calm, most) is state
-    eager = with_room_to_densify(state, OPTIMIZER, Density(gradient=0.0), most)
+    assert with_room_to_densify(state, OPTIMIZER, calm, most, rule=rule) is state
+    eager = with_room_to_densify(state, OPTIMIZER, Density(gradient=0.0), most, rule=rule)
     assert eager.gaussians.num_gaussians == most
 
 

@@ -13,6 +13,7 @@ from gsjax.planning import start
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import Model, Settings
 from gsjax.training.buffers import with_room_to_densify
+from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import DEAD_LOGIT, SHELLS, far_points, from_points
 from gsjax.training.optimizers import make_optimizer
 
@@ -76,14 +77,18 @@ def test_few_or_coincident_points_get_a_usable_scale(points, expected):
     assert_close(scales(made), np.full((len(points), 3), expected))
 
 
+RULE = DENSIFICATION_RULES["adc"]
+
+
 @pytest.mark.parametrize("pixel_filter", ["classic", "mip"])
 def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it(pixel_filter):
     scene = Scene(Path("scene"), "colmap", (), POINTS.astype(np.float32), COLORS)
     settings = Settings(model=Model(pixel_filter=pixel_filter, max_gaussians=40, sh_degree=0))
     optimizer = make_optimizer(settings.rates, 1.0, 10)
-    state = start.first_state(scene, settings, optimizer, {})
+    state = start.first_state(scene, settings.model, RULE, optimizer, {})
     assert state.gaussians.pixel_filter == pixel_filter
-    assert with_room_to_densify(state, optimizer, settings.density, 40).gaussians.pixel_filter == pixel_filter
+    roomy = with_room_to_densify(state, optimizer, settings.density, 40, rule=RULE)
+    assert roomy.gaussians.pixel_filter == pixel_filter
 
 
 def looking(*eyes, matte=None):
@@ -126,12 +131,12 @@ def test_training_starts_with_far_points_within_its_budget_unless_photos_have_ma
     frames = looking((9.0, 0.5, 0.0), (0.0, 1.0, -7.0), matte=matte)
     scene = Scene(Path("s"), "colmap", frames, POINTS.astype(np.float32), COLORS)
     for budget in (1000, 60, 12):
-        points, colors = start.starting_points(scene, Settings(model=Model(max_gaussians=budget, far_points=900)))
+        points, colors = start.starting_points(scene, Model(max_gaussians=budget, far_points=900))
         far = len(far_points(POINTS, frames, budget // 10))
         assert len(points) == len(colors) == (far + min(20, budget - far) if matte is None else 20)
     for without in (
-        Settings(model=Model(max_gaussians=1000)),
-        Settings(model=Model(far_points=900, background="white")),
+        Model(max_gaussians=1000),
+        Model(far_points=900, background="white"),
     ):
         points, _ = start.starting_points(scene, without)
         np.testing.assert_array_equal(points, scene.points)

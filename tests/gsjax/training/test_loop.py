@@ -141,7 +141,7 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
     for chosen in (density, replace(density, reset_every=0)):
         for step in range(1, 9):
             planned = plan(SETTINGS.replace(density=chosen, model={"background": "white"}))
-            work = loop.Work(planned, (), EXTENT, OPTIMIZER, lambda state: [], lambda progress: None)
+            work = loop.Work(planned, (), EXTENT, OPTIMIZER)
             loop._densify_when_due(work, DENSIFICATION_RULES["adc"], step, step, jax.random.key(0))
         calls.append("end")
     with_resets = ["reset", (4, False), "reset", (6, True), (8, True), "end"]  # at 2, 4, 5, 6 and 8

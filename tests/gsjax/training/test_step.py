@@ -159,6 +159,7 @@ def test_dtypes_and_shapes_stay_whatever_happens_to_the_state(setup):
             optimizer=setup.optimizer,
             density=Density(gradient=0),
             budget=CAPACITY,
+            rule=DENSIFICATION_RULES["adc"],
         )
     )
     before = setup.step._cache_size()
@@ -235,9 +236,8 @@ def test_densification_moves_moments_with_their_gaussians(setup):
         prune_large=False,
     )
     source, fresh = np.asarray(moved.source), np.asarray(moved.fresh)
-    after = densify(
-        state, KEY, jnp.float32(1.0), jnp.asarray(False), optimizer=setup.optimizer, density=density, budget=CAPACITY
-    )
+    how = {"optimizer": setup.optimizer, "density": density, "budget": CAPACITY, "rule": DENSIFICATION_RULES["adc"]}
+    after = densify(state, KEY, jnp.float32(1.0), jnp.asarray(False), **how)
     assert_close(after.gaussians, expected)
     assert int(count_alive(after.gaussians)) == CAPACITY
     assert set(source[ALIVE:]) == set(np.argsort(mean_gradient)[-20:])

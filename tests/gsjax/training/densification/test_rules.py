@@ -68,7 +68,6 @@ def trained(frames, rules, state, monkeypatch):
         frames,
         1.0,
         OPTIMIZER,
-        prior=lambda state: [],
         observe=lambda told: watched.append(jax.tree.map(np.array, told.state)),
     )
     follow(work, state, 8192)
@@ -99,7 +98,9 @@ def test_a_rule_that_is_not_known_is_named_before_anything_runs():
 
 def _densified(state):
     arguments = jax.random.key(0), jnp.float32(1.0), jnp.asarray(False)
-    return states.densify(state, *arguments, optimizer=OPTIMIZER, density=Density(), budget=ROWS)
+    return states.densify(
+        state, *arguments, optimizer=OPTIMIZER, density=Density(), budget=ROWS, rule=DENSIFICATION_RULES["adc"]
+    )
 
 
 @pytest.mark.parametrize(

@@ -307,7 +307,7 @@ def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: 1.0, begun
     optimizer = make_optimizer(Rates(), 1.0, 2)
     state = replace(initial_state(cloud(9), optimizer), step=np.int32(begun))
     planned = plan(Settings(schedule=Schedule(phases=phases)))
-    loop.follow(loop.Work(planned, PHOTOS, 4.0, optimizer, prior, lambda progress: None, shares=shares), state)
+    loop.follow(loop.Work(planned, PHOTOS, 4.0, optimizer, prior=prior, shares=shares), state)
     return neighbors
 
 

@@ -1,0 +1,245 @@
+"""What a training is asked for, its data set, and what its steps read: photos, priors and effects."""
+
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from jax import Array
+from jax.sharding import Mesh
+from tqdm import tqdm
+
+from gsjax import runs
+from gsjax.effects.simulation import Effects
+from gsjax.effects.sky import Masks
+from gsjax.errors import InputError
+from gsjax.io import normal_folders
+from gsjax.planning import sparse_view_trial
+from gsjax.planning.effect_validation import EffectValidation
+from gsjax.planning.effects import ChosenEffects, Looked, choose_effects, look_for_effects
+from gsjax.planning.measured_depth import Depths, measured_depth
+from gsjax.planning.memory import Fitted, fit_to_memory
+from gsjax.planning.pieces import pieces_record, require_pieces
+from gsjax.planning.sizes import at_size, training_extent
+from gsjax.planning.sky_masks import read_sky_masks
+from gsjax.planning.sparse_views import ENTRY, Decision, Gain, for_sparse_views
+from gsjax.planning.start import first_state, with_given_points, with_stereo_points
+from gsjax.rendering.engine import engine_here
+from gsjax.runs.normal_source import NormalSource, note_normals
+from gsjax.runs.processes import is_first, same_everywhere
+from gsjax.runs.run import Run
+from gsjax.runs.splits import Split, require_photos_of_effects, split_of
+from gsjax.scene import Keep, Scene, preload
+from gsjax.settings import AUTO, Settings
+from gsjax.training.data_parallel import Devices, device_mesh
+from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
+from gsjax.training.plan import Plan, check_terms, plan
+from gsjax.training.state import TrainState
+from gsjax.training.terms import Term
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a run is asked for, and the run that it continues."""
+
+    scene: str | Path
+    out: Path
+    settings: Settings
+    plan: Plan  # before any photo is inspected
+    effects: Effects  # that are handed in
+    pieces: dict[str, Any]  # record of all that is handed in
+    resumed: Run | None  # the run in `out`
+    warm_start: Path | None
+    origin: Run | None  # in whose coordinates training starts: `resumed`, or that of the warm start
+    mesh: Mesh | None
+
+    @property
+    def has_checkpoint(self) -> bool:
+        """Whether there is a checkpoint to start from."""
+        return self.origin is not None and runs.latest_checkpoint(self.origin.folder) is not None
+
+    def decided(self, entry: str) -> dict[str, Any] | None:
+        """What the manifest of `origin` records of a decision, which is not made again."""
+        return self.origin and self.origin.manifest.get(entry)
+
+
+def ask(
+    scene: str | Path,
+    out: Path,
+    settings: Settings,
+    terms: Mapping[str, Term | Callable[..., Array]],
+    densification: DensificationRule | None,
+    effects: Effects,
+    *,
+    resume: bool,
+    warm_start: Path | None,
+    devices: Devices,
+) -> Asked:
+    """Plan a run by its settings, and by what a resumed run found out when it began.
+
+    Raises:
+        InputError: The folder is not free or holds no run to resume, or a weight, a term or the devices cannot be used.
+    """
+    if not resume:
+        runs.require_free(out)
+    resumed = Run.open(out) if resume and is_first() and runs.can_resume(out) else None
+    pieces = pieces_record(terms, densification, effects)
+    if resumed:
+        runs.require_scene(out, scene)
+        require_pieces(resumed, pieces)
+    mesh = device_mesh(devices, settings.schedule.views_per_step)
+    planned = plan(settings, terms, densification=densification)
+    if resumed and "max_gaussians" in resumed.plan:  # Memory may have allowed fewer than were requested.
+        planned = replace(planned, max_gaussians=resumed.plan["max_gaussians"])
+    if settings.supervision.normals is not None:
+        normals = resumed.plan["normals"] if resumed else normal_folders.find(scene, settings.supervision.normals)
+        planned = replace(planned, normals=normals)
+    origin = resumed or (None if warm_start is None else Run(warm_start))
+    return Asked(scene, out, settings, planned, effects, pieces, resumed, warm_start, origin, mesh)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """The data set at the size of the run, its photos unread."""
+
+    scene: Scene
+    downscale: float  # photos are so many times smaller than they were taken
+    line: str  # how many photos, at what size
+    split: Split
+
+
+def load(asked: Asked) -> Loaded:
+    """Read the data set, and try the run's own terms on the sizes of its photos."""
+    downscale = asked.resumed and asked.resumed.plan["downscale"]
+    scene, downscale, line = at_size(asked.scene, asked.settings.photos, asked.plan.steps, downscale, run=asked.origin)
+    split = (asked.origin and asked.origin.split) or split_of(scene.frames)
+    if asked.origin and asked.has_checkpoint:
+        require_photos_of_effects(scene, split, asked.origin.manifest, run=asked.origin.folder)
+    check_terms(asked.plan, scene.train_frames)
+    return Loaded(scene, downscale, line, split)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the steps read: photos, priors and effects."""
+
+    scene: Scene  # its photos in memory or on the disk, without the blurred ones
+    start: Scene  # from whose points the Gaussians start
+    extent: float  # of the training cameras, scene units
+    plan: Plan  # for these photos and this machine, without effects
+    keep: Keep  # where photos and maps lie
+    normals: NormalSource
+    depths: Depths | None  # measured
+    effects: ChosenEffects
+    notes: dict[str, Any]  # entries of the manifest
+
+
+def prepare(asked: Asked, loaded: Loaded) -> Prepared:
+    """Read photos and priors, as far as memory allows, and choose the effects."""
+    settings, maps = asked.settings, asked.settings.supervision
+    memory, sparse = _size(asked, loaded.scene)
+    scene = _read_photos(loaded.scene, memory.keep)
+    report(*_opening_lines(memory.plan, settings, loaded.line), sparse and sparse.line(memory.plan))
+    inspected = look_for_effects(settings.effects.names, scene)
+    scene = inspected.scene
+    extent = training_extent(scene)
+    normals = NormalSource(
+        asked.out,
+        memory.plan.normals,
+        maps.normal_axes,
+        scene.train_frames,
+        settings.model.depth_mode,
+        maps.normal_gate,
+        keep=memory.keep,
+        notify=partial(note_normals, asked.out),
+    )
+    measured, start = measured_depth(scene, maps), with_given_points(scene, settings.model.points)
+    report(measured and f"depth {measured.line}")
+    if not asked.has_checkpoint:
+        start, lines = with_stereo_points(start, memory.plan)
+        report(*lines)
+    effects = _choose_effects(asked, memory.plan, inspected, start, extent, loaded.downscale).with_own(asked.effects)
+    notes = {
+        "photos": loaded.line,
+        "memory": "; ".join(memory.lines),
+        ENTRY: sparse and asdict(sparse),
+        "effects": effects.evidence,
+        **asked.pieces,
+    }
+    notes = {name: note for name, note in notes.items() if note}
+    depths = measured and measured.depths
+    return Prepared(scene, start, extent, memory.plan, memory.keep, normals, depths, effects, notes)
+
+
+def _size(asked: Asked, scene: Scene) -> tuple[Fitted, Decision | None]:
+    """The plan for so many photos, so far apart, in this machine's memory."""
+
+    def trial(change: Callable[[Plan], Plan]) -> Gain:
+        return same_everywhere(sparse_view_trial.gain(scene, asked.settings, change))
+
+    planned, sparse = for_sparse_views(
+        asked.plan,
+        scene,
+        asked.settings.schedule,
+        trial=None if asked.origin else trial,
+        before=asked.decided(ENTRY),
+        may_lower=asked.resumed is None,
+    )
+    may_lower = asked.mesh is None and asked.resumed is None
+    memory = fit_to_memory(planned, scene.frames, asked.out, may_lower=may_lower)
+    report(*memory.lines)
+    return memory, sparse
+
+
+def _read_photos(scene: Scene, keep: Keep) -> Scene:
+    """The scene with its photos in memory or on the disk: a damaged one is found before the run begins."""
+    photos = tqdm(scene.frames, desc="photos", unit="photo", leave=False)
+    scene = replace(scene, frames=tuple(preload(frame, keep) for frame in photos))
+    masks = [frame.pixels().valid for frame in scene.train_frames]
+    if not any(mask is None or mask.any() for mask in masks):
+        raise InputError(f"{scene.root}: its masks leave no pixel of any photo; what is not 0 in a mask is used")
+    return scene
+
+
+def _opening_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:
+    """Where the run computes and with which engine, on what, and what of the plan may surprise."""
+    engine = engine_here()
+    lines = [f"on {engine.device} with the {engine.name} rasterizer", photos_line]
+    if settings.schedule.dropout:
+        lines.append(f"every step leaves out {settings.schedule.dropout:.0%} of the Gaussians")
+    if any(phase.rule is DENSIFICATION_RULES["adc"] for phase in planned.phases):
+        lines.append(f"densification stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
+    if settings.supervision.normals is None and "normals" in planned.needs:
+        lines.append("no maps of normals (--normals): the run's own depth stands in for a network")
+    return lines
+
+
+def _choose_effects(
+    asked: Asked, planned: Plan, inspected: Looked, start: Scene, extent: float, downscale: float
+) -> ChosenEffects:
+    """The effects that the settings name, or that photos show and validation runs confirm."""
+    settings, scene = asked.settings, inspected.scene
+    sized = settings.replace(model={"max_gaussians": planned.max_gaussians})
+
+    def initial(short: Settings, optimizer: Any, effects: Effects, skies: Masks) -> TrainState:
+        return first_state(start, short.model, rule_named(short.density.rule), optimizer, effects, skies=skies)
+
+    validate = EffectValidation(sized, planned, scene.train_frames, extent, initial)
+    return choose_effects(
+        settings.effects.names,
+        planned,
+        scene,
+        lambda *how: same_everywhere(validate(*how)),
+        inspected,
+        skies=read_sky_masks(scene, settings.effects.sky, settings.photos.images, downscale),
+        with_sky=settings.effects.sky == AUTO,
+        before=asked.decided("effects"),
+    )
+
+
+def report(*lines: str | None) -> None:
+    """Print lines for the user; of None, nothing."""
+    for line in filter(None, lines):
+        print(f"train: {line}", file=sys.stderr)
