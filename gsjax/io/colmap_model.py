@@ -12,6 +12,7 @@ from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gsjax.errors import InputError
 from gsjax.io import colmap_binary, colmap_text
@@ -168,25 +169,12 @@ def _posed(image: ImageRecord, file: Path) -> PosedImage:
     pose = np.array(image.pose)
     if not is_float32(pose).all():
         raise InputError(f"{file}: the pose of {image.name} is not finite")
-    length = np.linalg.norm(pose[:4])
-    if length < _SHORTEST_QUAT:
+    if np.linalg.norm(pose[:4]) < _SHORTEST_QUAT:
         raise InputError(f"{file}: the quaternion of {image.name} is zero, which is no rotation")
     viewmat = np.eye(4)
-    viewmat[:3, :3] = _rotation(pose[:4] / length)
+    viewmat[:3, :3] = Rotation.from_quat(pose[:4], scalar_first=True).as_matrix()
     viewmat[:3, 3] = pose[4:]
     return PosedImage(image.name, image.camera, viewmat, image.keypoints)
-
-
-def _rotation(quat: np.ndarray) -> np.ndarray:
-    """`[3, 3]` of a unit quaternion, w first."""
-    w, x, y, z = quat
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _cloud(file: Path, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
