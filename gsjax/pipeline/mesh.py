@@ -99,10 +99,14 @@ def mesh(
         InputError: Nothing to mesh, an option that the method does not read or that is out of range, or a file cannot
             be read or written.
     """
-    _require_output(out, source, scene)
+    supported_suffix(Path(out))
+    require_apart(out, source, scene)
+    sweep_beside(Path(out))
+    if faces < 1:
+        raise InputError(f"--faces {faces} is below 1")
     options = MethodOptions(level, points, depth, trim_quantile, cell)
     methods = methods_of(method, options)
-    request = Request(options, crop_of(bounds, background_bounds, foreground_only), _checked_faces(faces))
+    request = Request(options, crop_of(bounds, background_bounds, foreground_only), faces)
     needs = frozenset[str]().union(*(each.needs for each in methods.values()))
     result, data = _open(Path(source), scene, with_photos=settled or len(methods) > 1 or "photos" in needs)
     request = _to_local(request, result)
@@ -121,19 +125,6 @@ def mesh(
         surface, report["settled"] = refine_on_photos(surface, data.train_frames)
     write_mesh(out, result.similarity.mesh_to_world(surface), result.place)
     return {"vertices": len(surface.vertices), "faces": len(surface.faces), **report}
-
-
-def _require_output(out: str | Path, source: str | Path, scene: str | Path | None) -> None:
-    """Check where the mesh is written; raises InputError."""
-    supported_suffix(Path(out))
-    require_apart(out, source, scene)
-    sweep_beside(Path(out))
-
-
-def _checked_faces(faces: int) -> int:
-    if faces < 1:
-        raise InputError(f"--faces {faces} is below 1")
-    return faces
 
 
 def _open(source: Path, scene: str | Path | None, *, with_photos: bool) -> tuple[Result, Scene | None]:
