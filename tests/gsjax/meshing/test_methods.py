@@ -9,8 +9,8 @@ from small_scenes import camera_at, cloud
 from gsjax.errors import InputError
 from gsjax.meshing import extract_mesh, regions
 from gsjax.meshing.consistent_depth import LEAST_FACING, depth_poisson
+from gsjax.meshing.extract import facing_share, orient_outward
 from gsjax.meshing.methods import METHODS, MeshMethod, MethodOptions, methods_help, methods_of
-from gsjax.meshing.orientation import facing_share, orient_outward
 from gsjax.meshing.regions import Box, Region
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
