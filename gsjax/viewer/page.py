@@ -113,7 +113,8 @@ class Page:
             if request is not None:
                 self._answer(request)
             if self._chores:
-                self._chores.popleft()()
+                with _whoever_is_left():
+                    self._chores.popleft()()
             self._look_for_news()
             now = time.monotonic()
             spent += now - started
