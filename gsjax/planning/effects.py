@@ -36,10 +36,9 @@ from gsjax.training.plan import Plan
 
 PROPOSED = ("exposure", "vignetting", "poses", "sky", "background", "transients")
 """Effects that "auto" may simulate, in the order in which they are validated."""
-BY_TRACKS = ("exposure", "poses")
-"""Those that tracks decide: their evidence is tested on observations that it was not fitted to. Harmonics of a short
-validation run imitate an exposure."""
-STRICTER = 1.5  # times the threshold, of an effect that tracks decide
+UNVALIDATED = ("exposure", "poses")
+"""Those that a run which is too short for validation simulates on evidence alone: they remove no surface."""
+STRICTER = 1.5  # times the threshold, which evidence alone must exceed
 _PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
 
 
@@ -129,8 +128,8 @@ def choose_effects(
         asked: As `Settings.effects`.
         plan: The run, without effects.
         scene: Its data set, at the size that is trained on.
-        validate: Validates, of "auto", what the evidence proposes and tracks do not decide. None, or a run too short
-            for it: only exposure and poses are simulated.
+        validate: Validates, of "auto", what the evidence proposes. None, or a run too short for it: exposure and poses
+            alone are simulated, on strong evidence.
         looked: What `look_for_effects` found, if it was asked.
         skies: Where photos show sky, if masks of it were given; with it a background is taken in.
         with_sky: Whether a sky is looked for whatever else is asked for, and must be found.
@@ -197,11 +196,11 @@ def _decided(
     if before is not None:
         stored = before.get("validated", {})
         return {*before["simulated"]}, {name: Validated(**each) for name, each in stored.items()}
-    wanted = {name for name in proposed if name in BY_TRACKS and _is_strong(found.effects[name])}
-    others = [name for name in proposed if name not in BY_TRACKS]
-    validated = validate(found.seen, others, found.sky, wanted) if validate and others else {}
+    validated = validate(found.seen, proposed, found.sky) if validate and proposed else {}
+    if not validated:
+        return {name for name in proposed if name in UNVALIDATED and _is_strong(found.effects[name])}, {}
     passed = [name for name, each in validated.items() if each.passes]
-    return wanted | {part for name in passed for part in PARTS.get(name, (name,))}, validated
+    return {part for name in passed for part in PARTS.get(name, (name,))}, validated
 
 
 def _is_strong(evidence: Evidence) -> bool:
@@ -215,7 +214,7 @@ def _noted(
     notes = {}
     for name in proposed:
         decision = "simulated" if name in wanted else "not simulated"
-        why = "tracks decide" if name in BY_TRACKS else "not validated, the run is too short"
+        why = "not validated, the run is too short"
         why = f"gains {validated[name]} in a validation run (needs {WORTH:g})" if name in validated else why
         why = "part of the sky" if name == "background" and "sky" in wanted else why
         notes[name] = found.effects[name]._replace(note=f"{decision}: {why}; {found.effects[name].note}")

@@ -112,7 +112,7 @@ def test_a_sky_starts_as_the_photos_show_it():
     np.testing.assert_array_equal(background.initial(observe(wall())), np.zeros((1, 3)))
 
 
-def confirm(seen, proposed, skies, simulated):
+def confirm(seen, proposed, skies):
     """A validation in which every effect passes."""
     return dict.fromkeys(proposed, Validated(1.0, 0.1))
 
