@@ -67,9 +67,7 @@ class EffectValidation:
     extent: float  # camera extent, scene units
     initial: Initial
 
-    def __call__(
-        self, seen: Observations, proposed: Sequence[str], skies: sky.Masks
-    ) -> dict[str, Validated]:
+    def __call__(self, seen: Observations, proposed: Sequence[str], skies: sky.Masks) -> dict[str, Validated]:
         """The gain of each proposed effect, added to those before it that passed.
 
         Empty where the run is too short.
