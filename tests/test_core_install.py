@@ -43,7 +43,7 @@ sys.exit(cli.main(["mesh", f"{run}.ply", "--out", f"{run}/mesh.ply"]))
 """
 TRAIN = """
 from gsjax import cli
-short = ["--set", "phases=[{\\"name\\":\\"plain\\",\\"steps\\":5}]", "max_gaussians=900"]
+short = ["--set", "schedule.phases=[{\\"name\\":\\"plain\\",\\"steps\\":5}]", "model.max_gaussians=900"]
 sys.exit(cli.main(["train", scene, "--out", run, "--effects", "none", *short]))
 """
 

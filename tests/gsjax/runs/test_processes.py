@@ -15,7 +15,7 @@ from gsjax.runs import checkpoints
 
 PATIENCE = 900  # seconds until the first checkpoint, on a machine with much else to do
 LOST = (
-    'phases=[{"name":"vanilla","steps":100000,"density_control":true}]',
+    'schedule.phases=[{"name":"vanilla","steps":100000,"density_control":true}]',
     "model.max_gaussians=400",
     "model.sh_degree=0",
     "density.rule=error",
@@ -24,15 +24,15 @@ LOST = (
     "logging.checkpoint_every=2",
 )
 SHORT = (  # of the preset `fast`: every kind of step, in a minute
-    "phases.coarse.steps=8",
-    "phases.vanilla.steps=4",
-    "phases.surface.steps=8",
+    "schedule.phases.coarse.steps=8",
+    "schedule.phases.vanilla.steps=4",
+    "schedule.phases.surface.steps=8",
     "density.start=1",
     "density.stop=10",
     "density.every=4",
-    "max_gaussians=400",
+    "model.max_gaussians=400",
     "logging.evaluate_every=0",
-    "effects=exposure,vignetting,poses,background",
+    "effects.names=exposure,vignetting,poses,background",
 )
 
 
