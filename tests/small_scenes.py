@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -77,6 +78,13 @@ def discs(points, normals, radius, *, thickness=0.02, opacity=0.95, colors=None)
         sh_dc=jnp.asarray(rgb_to_sh(colors)[:, None], jnp.float32),
         sh_rest=jnp.zeros((count, 0, 3), jnp.float32),
     )
+
+
+def one_gaussian(log_scales, *, opacity=0.8, mean=(0.0, 0.0, 0.0)) -> Gaussians:
+    """A Gaussian along the world's axes."""
+    upright = discs([mean], (0.0, 0.0, 1.0), 1.0, opacity=opacity)
+    quats = jnp.asarray([[1.0, 0.0, 0.0, 0.0]])
+    return replace(upright, log_scales=jnp.asarray([log_scales], jnp.float32), quats=quats)
 
 
 def plane(normal, *, distance=4.0, per_side=16, spacing=0.35, **options) -> Gaussians:

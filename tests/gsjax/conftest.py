@@ -5,11 +5,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import ModuleType
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
+from small_scenes import discs
 
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_set import world_points
@@ -82,28 +81,11 @@ def disc_scene(points, normals, *, discs_radius, cameras, ground) -> DiscScene:
     depths = [_exact_depth(camera, ground) for camera in cameras]
     orange = np.array([1.0, 0.5, 0.0], np.float32)
     return DiscScene(
-        gaussians=tangent_discs(points, normals, discs_radius, discs_radius / 20),
+        gaussians=discs(points, normals, discs_radius, thickness=1 / 20, opacity=0.9),
         cameras=cameras,
         depths=depths,
         alphas=[(depth > 0).astype(np.float32) for depth in depths],
         colors=[np.broadcast_to(orange, (*depth.shape, 3)) for depth in depths],
-    )
-
-
-def tangent_discs(points, normals, radius, thickness, opacity=0.9) -> Gaussians:
-    """One Gaussian a point, its z axis along the normal."""
-    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    x = np.cross(helper, normals)
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    axes = np.stack([x, np.cross(normals, x), normals], axis=-1)
-    count = len(points)
-    return Gaussians(
-        means=jnp.asarray(points, jnp.float32),
-        quats=jnp.asarray(Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]], jnp.float32),
-        log_scales=jnp.asarray(np.tile(np.log([radius, radius, thickness]), (count, 1)), jnp.float32),
-        logit_opacities=jnp.full(count, np.log(opacity / (1 - opacity)), jnp.float32),
-        sh_dc=jnp.zeros((count, 1, 3), jnp.float32),
-        sh_rest=jnp.zeros((count, 0, 3), jnp.float32),
     )
 
 

@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from small_scenes import one_gaussian
 
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field
@@ -23,17 +24,6 @@ def random_gaussians(count, seed=0, log_scale=-1.0, spread=0.5):
         logit_opacities=jnp.asarray(rng.normal(size=count), jnp.float32),
         sh_dc=jnp.zeros((count, 1, 3), jnp.float32),
         sh_rest=jnp.zeros((count, 0, 3), jnp.float32),
-    )
-
-
-def one_gaussian(log_scales, opacity=0.8, mean=(0.0, 0.0, 0.0)):
-    return Gaussians(
-        means=jnp.asarray([mean], jnp.float32),
-        quats=jnp.asarray([[1, 0, 0, 0]], jnp.float32),
-        log_scales=jnp.asarray([log_scales], jnp.float32),
-        logit_opacities=jnp.asarray([np.log(opacity / (1 - opacity))], jnp.float32),
-        sh_dc=jnp.zeros((1, 1, 3), jnp.float32),
-        sh_rest=jnp.zeros((1, 0, 3), jnp.float32),
     )
 
 

@@ -5,27 +5,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small_scenes import one_gaussian
 
 from gsjax import gaussians as gs
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field, level_crossing, level_set
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.scene import cameras
 from gsjax.scene.cameras import Camera
 
 
-def one_gaussian(scales, opacity):
-    return jax.jit(density_field.kernels)(
-        Gaussians(
-            means=jnp.zeros((1, 3), jnp.float32),
-            quats=jnp.asarray([[1, 0, 0, 0]], jnp.float32),
-            log_scales=jnp.log(jnp.asarray([scales], jnp.float32)),
-            logit_opacities=jnp.asarray([np.log(opacity / (1 - opacity))], jnp.float32),
-            sh_dc=jnp.zeros((1, 1, 3), jnp.float32),
-            sh_rest=jnp.zeros((1, 0, 3), jnp.float32),
-        )
-    )
+def kernel(scales, opacity):
+    return jax.jit(density_field.kernels)(one_gaussian(np.log(scales), opacity=opacity))
 
 
 def march(field, hit, direction, level=0.3):
@@ -40,14 +31,14 @@ march_ray = jax.jit(partial(level_crossing.march_ray, samples=21, sigma_range=3.
 @pytest.mark.parametrize("off_peak", [-0.1, 0.0, 0.15])
 def test_crossing_of_one_gaussian_in_closed_form(level, off_peak):
     # alpha exp(-z^2 / 2 s^2) = level at z = -s sqrt(2 ln(alpha / level)), entering along +z.
-    point, normal, crossed = march(one_gaussian((1.0, 1.0, 0.2), 0.9), (0, 0, off_peak), (0, 0, 1), level)
+    point, normal, crossed = march(kernel((1.0, 1.0, 0.2), 0.9), (0, 0, off_peak), (0, 0, 1), level)
     assert bool(crossed)
     np.testing.assert_allclose(point, [0, 0, -0.2 * np.sqrt(2 * np.log(0.9 / level))], atol=2e-4)
     np.testing.assert_allclose(normal, [0, 0, -1], atol=1e-5)
 
 
 def test_oblique_ray_ends_on_the_level_with_the_gradients_normal():
-    field = one_gaussian((1.0, 0.5, 0.2), 0.9)
+    field = kernel((1.0, 0.5, 0.2), 0.9)
     point, normal, crossed = march(field, (0.1, 0.2, 0.05), (1, 1, 2))
     assert bool(crossed)
     assert float(density_field.density(point, field)) == pytest.approx(0.3, abs=2e-3)
@@ -56,14 +47,14 @@ def test_oblique_ray_ends_on_the_level_with_the_gradients_normal():
 
 
 def test_a_disc_thinner_than_the_step_is_met_from_the_near_side():
-    point, normal, crossed = march(one_gaussian((1.0, 1.0, 0.01), 0.9), (0, 0, 0.02), (1, 0, 1))
+    point, normal, crossed = march(kernel((1.0, 1.0, 0.01), 0.9), (0, 0, 0.02), (1, 0, 1))
     assert bool(crossed)
     assert float(point[2]) == pytest.approx(-0.01 * np.sqrt(2 * np.log(3)), abs=5e-4)
     assert float(normal[2]) < -0.99
 
 
 def test_too_soft_and_already_inside_are_no_crossings():
-    assert not bool(march(one_gaussian((1.0, 1.0, 0.2), 0.25), (0, 0, 0), (0, 0, 1))[2])
+    assert not bool(march(kernel((1.0, 1.0, 0.2), 0.25), (0, 0, 0), (0, 0, 1))[2])
     wide_over_narrow = density_field.Kernels(
         means=jnp.zeros((2, 3), jnp.float32),
         whitening=jnp.stack([10 * jnp.eye(3, dtype=jnp.float32), 0.01 * jnp.eye(3, dtype=jnp.float32)]),
@@ -74,7 +65,7 @@ def test_too_soft_and_already_inside_are_no_crossings():
 
 @pytest.mark.parametrize("scales", [(1e-30, 1e-30, 1e-30), (1e30, 1e30, 1e30), (1.0, 1.0, 1e-30)])
 def test_extreme_kernels_march_to_finite_numbers(scales):
-    for part in march(one_gaussian(scales, 0.9), (1e-3, 0, 0), (0, 0, 1)):
+    for part in march(kernel(scales, 0.9), (1e-3, 0, 0), (0, 0, 1)):
         assert bool(jnp.all(jnp.isfinite(part)))
 
 

@@ -1,9 +1,12 @@
 """The Gaussians around a ray: what was hit, what is near, what is large; and walls that would lose their rays."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
+from small_scenes import discs
 
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import knn, level_set, neighborhood
@@ -22,25 +25,17 @@ WALL = Camera(
 """Two units in front of the plane z = 0, of which it sees about one unit to either side."""
 
 
-def discs(centers, radii, opacity=0.95) -> Gaussians:
+def sheets(centers, radii) -> Gaussians:
     """Flat discs that lie in planes of constant z."""
-    count = len(centers)
-    scales = np.stack([radii, radii, np.full(count, 1e-3)], -1)
-    return Gaussians(
-        means=jnp.asarray(centers, jnp.float32),
-        quats=jnp.tile(jnp.asarray([1.0, 0, 0, 0]), (count, 1)),
-        log_scales=jnp.log(jnp.asarray(scales, jnp.float32)),
-        logit_opacities=jnp.full(count, np.log(opacity / (1 - opacity)), jnp.float32),
-        sh_dc=jnp.zeros((count, 1, 3), jnp.float32),
-        sh_rest=jnp.zeros((count, 0, 3), jnp.float32),
-    )
+    scales = np.stack([radii, radii, np.full(len(centers), 1e-3)], -1)
+    return replace(discs(centers, (0, 0, 1.0), 1.0), log_scales=jnp.log(jnp.asarray(scales, jnp.float32)))
 
 
 def wall(small: int) -> Gaussians:
     """One large disc at z = 0 with small ones just in front of it, and others behind the camera: always 201."""
     xy = np.random.default_rng(0).uniform(-1, 1, (200, 2))
     centers = np.r_[[[0.0, 0, 0]], np.c_[xy, np.where(np.arange(200) < small, -0.002, -9)]]
-    return discs(centers, np.r_[3.0, np.full(200, 0.03)])
+    return sheets(centers, np.r_[3.0, np.full(200, 0.03)])
 
 
 @pytest.mark.parametrize("small", [0, 40, 200])
@@ -68,7 +63,7 @@ def test_large_gaussians_are_found_from_afar_by_their_density():
     """Against all densities, computed one by one: none that is left out makes more than the least that was chosen."""
     rng = np.random.default_rng(2)
     radii = np.r_[np.full(300, 0.02), rng.uniform(0.3, 3, 12)]
-    gaussians = discs(np.c_[rng.uniform(-1, 1, (312, 2)), rng.normal(0, 1e-3, 312)], radii)
+    gaussians = sheets(np.c_[rng.uniform(-1, 1, (312, 2)), rng.normal(0, 1e-3, 312)], radii)
     nearby = Neighborhood(gaussians, 16)
     centers = np.asarray(gaussians.means, np.float64)
     ids = nearby.of(centers, np.arange(312, dtype=np.int32))

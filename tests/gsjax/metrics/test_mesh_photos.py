@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from small_scenes import discs
 
 from gsjax.effects.appearance import Appearance
 from gsjax.gaussians import Gaussians
@@ -31,14 +32,7 @@ def photo(name: str = "held.png", *, level: float = 0.5, valid: np.ndarray | Non
 @pytest.fixture
 def nothing() -> Gaussians:
     """One Gaussian behind the camera: pictures of it show the background."""
-    return Gaussians(
-        means=np.float32([[0, 0, -5]]),
-        quats=np.float32([[1, 0, 0, 0]]),
-        log_scales=np.float32([[-3, -3, -3]]),
-        logit_opacities=np.float32([0]),
-        sh_dc=np.zeros((1, 1, 3), np.float32),
-        sh_rest=np.zeros((1, 0, 3), np.float32),
-    )
+    return discs([[0, 0, -5]], [0, 0, 1], 0.05)
 
 
 def decibels(difference: float) -> float:
