@@ -64,36 +64,21 @@ QUICK = config.merge(  # small photos and their image alone: a step takes less t
         "density": {"start": 30, "stop": 630, "every": 50},
     },
 )
-BALANCED = config.merge(
-    _OWN,
-    {
-        "model": {"max_gaussians": 120_000},
-        "schedule": {
-            "sh_every": 700,
-            "phases": [
-                _phase("coarse", 1000, image_scale=2, density_control=True),
-                _phase("vanilla", 5000, density_control=True),
-                _phase("surface", 2000, weights=_SURFACE_TERMS),
-            ],
-        },
-        "density": {"stop": 3600},
-    },
-)
-ACCURATE = config.merge(  # `balanced` in as many steps as the paper's
-    _OWN,
-    {
-        "model": {"max_gaussians": 300_000},
-        "schedule": {
-            "sh_every": 1300,
-            "phases": [
-                _phase("coarse", 1900, image_scale=2, density_control=True),
-                _phase("vanilla", 9350, density_control=True),
-                _phase("surface", 3750, weights=_SURFACE_TERMS),
-            ],
-        },
-        "density": {"start": 100, "stop": 6700},
-    },
-)
+
+
+def _full_size(gaussians: int, sh_every: int, coarse: int, vanilla: int, surface: int, density: dict[str, int]) -> dict:
+    """Photos of full size, in phases of so many steps."""
+    phases = [
+        _phase("coarse", coarse, image_scale=2, density_control=True),
+        _phase("vanilla", vanilla, density_control=True),
+        _phase("surface", surface, weights=_SURFACE_TERMS),
+    ]
+    own = {"model": {"max_gaussians": gaussians}, "schedule": {"sh_every": sh_every, "phases": phases}}
+    return config.merge(_OWN, {**own, "density": density})
+
+
+BALANCED = _full_size(120_000, 700, 1000, 5000, 2000, {"stop": 3600})
+ACCURATE = _full_size(300_000, 1300, 1900, 9350, 3750, {"start": 100, "stop": 6700})  # as many steps as the paper's
 
 
 def _of_the_paper(surface_steps: int) -> dict[str, Any]:

@@ -91,12 +91,14 @@ class Phase:
         object.__setattr__(self, "weights", Weights(**self.weights))
 
 
+MEANS_FINAL = 1.6e-6  # times the scene extent: the last learning rate of the means (3DGS, arguments/__init__.py)
+
+
 @dataclass(frozen=True)
 class Rates:
     """Adam learning rates of 3DGS (its arguments/__init__.py)."""
 
-    means: float = 1.6e-4  # times the scene extent
-    means_final: float = 1.6e-6  # times the scene extent, reached log-linearly at `decay_steps`
+    means: float = 1.6e-4  # times the scene extent; falls log-linearly to `MEANS_FINAL` at `decay_steps`
     decay_steps: int | None = None  # None: the steps of all phases
     sh_dc: float = 0.0025
     sh_rest: float = 0.000125
@@ -108,14 +110,12 @@ class Rates:
     def __post_init__(self):
         """Check types and ranges."""
         declare_types(self)
-        rates = ("means", "sh_dc", "sh_rest", "opacities", "scales", "quats")
-        check_lowest(self, **dict.fromkeys(rates, 0))
+        rates = ("sh_dc", "sh_rest", "opacities", "scales", "quats")
+        check_lowest(self, means=MEANS_FINAL, **dict.fromkeys(rates, 0))
         if self.decay_steps is not None:
             check_lowest(self, decay_steps=1)
         if not 0 < self.final_share <= 1:
             raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
-        if not 0 < self.means_final <= self.means:
-            raise ValueError(f"means_final={self.means_final} is not between 0 and means={self.means}")
 
 
 @dataclass(frozen=True)
@@ -127,18 +127,15 @@ class Density:
     stop: int = 15000
     every: int = 100
     gradient: float = 2e-4  # adc: mean norm of the loss' gradient to the 2D mean, in NDC units
-    dense_share: float = 0.01  # adc, of the extent: larger Gaussians split, smaller ones are cloned
     full_by: float = 0.9  # error: where between `start` and `stop` the budget is full, reached geometrically
     replace: float = 0.1  # error: share that moves in each densification, from the least seen to the worst
-    min_opacity: float = 0.005
-    max_share: float = 0.1  # of the extent: larger ones are pruned, by the rule `error` the near ones
     reset_every: int = 3000  # and, over a white background, at `start`; 0: never
 
     def __post_init__(self):
         """Check types and ranges."""
         declare_types(self)
-        check_lowest(self, start=0, stop=0, every=1, gradient=0, dense_share=0, max_share=0, reset_every=0)
-        for name in ("full_by", "replace", "min_opacity"):
+        check_lowest(self, start=0, stop=0, every=1, gradient=0, reset_every=0)
+        for name in ("full_by", "replace"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name}={getattr(self, name)} is not between 0 and 1")
 

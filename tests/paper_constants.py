@@ -29,7 +29,7 @@ from gsjax.pipeline import training_journal
 from gsjax.presets import PRESETS, REFINED_BY
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Pixels, Scene, frame_of
-from gsjax.settings import Density, Rates, Settings
+from gsjax.settings import MEANS_FINAL, Density, Rates, Settings
 from gsjax.training import initialize
 from gsjax.training.densification import gradient_driven
 from gsjax.training.optimizers import apply_gradients, make_optimizer
@@ -213,7 +213,7 @@ CONSTANTS = (
              lambda: protocol("paper_6k_15k")["keep_free"]),
     Constant("scored while training", ["held_out"], "3DGS, train.py", scored_while_training),
     # 3DGS
-    Constant("rates of the means", (1.6e-4, 1.6e-6), DGS, lambda: (Rates().means, Rates().means_final)),
+    Constant("rates of the means", (1.6e-4, 1.6e-6), DGS, lambda: (Rates().means, MEANS_FINAL)),
     Constant("rates of colour", (2.5e-3, 2.5e-3 / 20), DGS, lambda: (Rates().sh_dc, Rates().sh_rest)),
     Constant("rates of opacity, scale, rotation", (0.05, 0.005, 0.001), DGS,
              lambda: (Rates().opacities, Rates().scales, Rates().quats)),
@@ -224,11 +224,11 @@ CONSTANTS = (
              lambda: (Density().start, Density().stop, Density().every)),
     Constant("gradient that grows", 2e-4, DGS, lambda: Density().gradient),
     Constant("extent that splits and that is pruned", (0.01, 0.1), DGS,
-             lambda: (Density().dense_share, Density().max_share)),
+             lambda: (gradient_driven.DENSE_SHARE, gradient_driven.MAX_SHARE)),
     Constant("halves are smaller by", 0.8 * 2, "3DGS, densify_and_split", lambda: gradient_driven.SPLIT),
     Constant("size prunes after", (False, True), "3DGS, train.py",
              lambda: tuple(gradient_driven.prunes_large(Density(), step) for step in (3000, 3001))),
-    Constant("opacity that is pruned", 0.005, "3DGS, train.py", lambda: Density().min_opacity),
+    Constant("opacity that is pruned", 0.005, "3DGS, train.py", lambda: gradient_driven.MIN_OPACITY),
     Constant("opacities are reset to", 0.01, "3DGS, reset_opacity", reset_to),
     Constant("opacities are reset every", 3000, DGS, lambda: Density().reset_every),
     Constant("alpha is at most", 0.99, "3DGS, forward.cu", lambda: rounded(alpha_of(0.9999))),

@@ -78,7 +78,7 @@ def normals_rows(record: dict[str, Any]) -> list[list[str]]:
 
 
 def apart(scene: Scene) -> dict[str, Any]:
-    """How many `photos` are trained on, `degrees` between them, and whether trials of holding back are made (`tried`).
+    """How many `photos` are trained on, `degrees` between them, and whether validation runs decide (`tried`).
 
     Degrees are those of `gsjax.planning.sparse_views.angle_between_photos`, None where no tracks tell.
 

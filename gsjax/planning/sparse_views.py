@@ -1,4 +1,4 @@
-"""Few photos, or photos that stand far apart: training may learn them by heart, and is then held back."""
+"""Sparse-view regularization: training on few photos, or photos far apart, may overfit, and is then regularized."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,46 +14,46 @@ from gsjax.training.plan import Plan
 
 FAR_APART = 20.0  # degrees
 FEW = 15  # photos
-FEWEST = 5  # photos that a trial can be made with
-SHORTEST = 600  # steps of a run: before a shorter one a trial takes too much of the time, and the angle decides
+FEWEST = 5  # photos of a validation run
+SHORTEST = 600  # steps of a run: for a shorter one validation takes too much time, and the angle decides
 FEWER = 2  # times, Gaussians: each has more pixels to fit, of more photos
 SMOOTH = {"depth_normal": 0.05}  # what is added to every phase: Gaussians lie along the surface that they show
-LEFT_OUT = 0.2  # share of the Gaussians that each step leaves out, where no other was asked for
-STEREO_SHARE = 9  # One in so many Gaussians begins where photos agree about depth.
-POINTS = 2000  # that are looked at
-SURE = 2.0  # times its error that a difference must be off zero to count as one
+LEFT_OUT = 0.2  # share of the Gaussians that each step leaves out, unless the settings name another
+STEREO_SHARE = 9  # One in so many Gaussians starts from multi-view stereo.
+POINTS = 2000  # whose angles are measured
+SURE = 2.0  # standard errors that a significant difference is away from zero
 
 ENTRY = "sparse_views"
 """Of the manifest: a `Decision`."""
 
 
 class Gain(NamedTuple):
-    """What photos that were kept from short trials say of another way to train."""
+    """The gain of another way to train, on photos that validation runs hold out."""
 
-    decibels: float  # PSNR that way less PSNR as it is, mean over the photos
+    decibels: float  # PSNR with the change less without, mean over the photos
     error: float  # its standard error over the photos
-    depth: float | None = None  # log of how far depth is off that way beside as it is, mean; None: nothing tells
+    depth: float | None = None  # log of the ratio of depth errors, with the change over without, mean; None: unknown
     depth_error: float | None = None  # its standard error over the photos
 
     @property
     def is_sure(self) -> bool:
-        """Whether pictures alone tell which way is better."""
+        """Whether the difference of PSNR is significant."""
         return abs(self.decibels) > SURE * self.error
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether depth is surely better where pictures are worse, or worse where they are better."""
+        """Whether depth changes significantly in the direction opposite to PSNR."""
         return self.decibels * self._sure_depth > 0
 
     @property
     def helps(self) -> bool:
-        """Whether pictures gain; where they are not sure, whether depth is nearer, if that is sure."""
+        """Whether PSNR gains; where that is not significant, whether depth does, if significantly."""
         by_depth = 0.0 if self.is_sure else self._sure_depth
         return by_depth < 0 if by_depth else self.decibels > 0
 
     @property
     def _sure_depth(self) -> float:
-        """`depth`, or 0 where it is not surely another."""
+        """`depth`, or 0 where it is not significant."""
         if self.depth is None or self.depth_error is None:
             return 0.0
         return self.depth if abs(self.depth) > SURE * self.depth_error else 0.0
@@ -65,29 +65,29 @@ Trial = Callable[[Callable[[Plan], Plan]], Gain]
 
 @dataclass(frozen=True)
 class Decision:
-    """Whether training is held back, and why."""
+    """Whether training is regularized, and why. The fields are keys of the manifest."""
 
     photos: int  # that are trained on
-    degrees: float | None  # between them; None: no tracks tell
-    gain: float | None  # decibels on photos kept from short trials; None: no trial was made, the angle decided
+    degrees: float | None  # between them; None: unknown without tracks
+    gain: float | None  # decibels in validation runs; None: there was none, the angle decided
     error: float | None  # of the gain, its standard error
     held_back: bool
-    depth: float | None = None  # log of how far depth is off, held back beside as it is; None: nothing tells
+    depth: float | None = None  # log of the ratio of depth errors, regularized over not; None: unknown
     depth_error: float | None = None  # of that, its standard error
 
     def line(self, plan: Plan) -> str:
-        """In words; the plan is that which follows."""
+        """The line for the user, with the plan that follows."""
         apart = "" if self.degrees is None else f" {self.degrees:.0f} degrees apart"
-        why = "" if self.gain is None else f" (photos kept from short trials: {self._found()})"
+        why = "" if self.gain is None else f" (validation runs: {self.gain:+.1f} +-{self.error:.1f} dB"
+        why += "" if self.depth is None else f", {math.exp(self.depth):.2f} times the error of depth"
+        why += ")" if why else ""
         if not self.held_back:
-            return f"{self.photos} photos{apart}: holding back would not help{why}"
-        left_out = f"each step leaves out {plan.phases[0].dropout:.0%} of them"
-        held = f"held back to {plan.max_gaussians:,} Gaussians, {left_out}{why}"
-        return f"{self.photos} photos{apart}: {held}; --set schedule.sparse_views=false trains without"
-
-    def _found(self) -> str:
-        found = f"{self.gain:+.1f} +-{self.error:.1f} dB"
-        return found if self.depth is None else f"{found}, depth there {math.exp(self.depth):.2f} times as far off"
+            return f"{self.photos} photos{apart}: no sparse-view regularization{why}"
+        regularized = f"{plan.max_gaussians:,} Gaussians, of which each step leaves out {plan.phases[0].dropout:.0%}"
+        return (
+            f"{self.photos} photos{apart}: sparse-view regularization with {regularized}{why};"
+            " schedule.sparse_views=false trains without"
+        )
 
 
 def for_sparse_views(
@@ -99,20 +99,20 @@ def for_sparse_views(
     before: Mapping[str, Any] | None = None,
     may_lower: bool = True,
 ) -> tuple[Plan, Decision | None]:
-    """The plan for these photos, and what was decided where they are few or far apart.
+    """The plan for these photos, and the decision where they are few or far apart.
 
-    Held back, half of the Gaussians grow, a term draws them along the surface that they show, each step leaves some of
-    them out, and some begin where photos agree about depth. Views from between photos gain up to three decibels, or
-    lose two (`experiments/results/few_photos.md`), so short trials decide: by pictures where these are sure, else by
-    the depth of matched points.
+    Regularized, a run has half of the Gaussians, and some of them start from multi-view stereo. A term aligns them with
+    the surface, and each step leaves some of them out. Views between the photos gain up to three decibels, or lose two
+    (`experiments/results/few_photos.md`). So validation runs decide: by PSNR where its difference is significant, else
+    by the depth of matched points.
 
     Args:
         planned: The run.
         scene: Its data set.
         schedule: Whether sparse views are regularized; never in vanilla 3DGS.
-        trial: Tells what holding back brings. None: the angle between the photos decides, from `FAR_APART` on.
-        before: What was decided when this run began.
-        may_lower: Whether fewer Gaussians than planned may be the way: not of a run that goes on.
+        trial: Measures the gain. None: the angle between the photos decides, from `FAR_APART` on.
+        before: The decision that was made when this run began.
+        may_lower: Whether Gaussians may be fewer than planned: not in a run that resumes.
 
     Raises:
         InputError: The tracks or photos cannot be read, or the tracks name points that the scene does not have.
@@ -122,11 +122,11 @@ def for_sparse_views(
     decision = Decision(**before) if before else _decide(planned, scene, trial)
     if decision is None or not decision.held_back:
         return planned, decision
-    return held_back(planned, may_lower=may_lower), decision
+    return regularize(planned, may_lower=may_lower), decision
 
 
 def is_tried(photos: int, degrees: float | None, steps: int) -> bool:
-    """Whether trials decide of so many photos, so far apart, before a run of so many steps."""
+    """Whether validation runs decide for so many photos, so far apart, and a run of so many steps."""
     return (photos <= FEW or is_sparse(degrees)) and photos >= FEWEST and steps >= SHORTEST
 
 
@@ -135,12 +135,12 @@ def _decide(planned: Plan, scene: Scene, trial: Trial | None) -> Decision | None
     by_angle = is_sparse(degrees)
     if trial is None or not is_tried(photos, degrees, planned.photos_seen):
         return Decision(photos, degrees, None, None, held_back=True) if by_angle else None
-    gain = trial(held_back)
+    gain = trial(regularize)
     return Decision(photos, degrees, gain.decibels, gain.error, gain.helps, gain.depth, gain.depth_error)
 
 
-def held_back(planned: Plan, *, may_lower: bool = True) -> Plan:
-    """The plan of a run that does not learn its photos by heart; one that is so already stays."""
+def regularize(planned: Plan, *, may_lower: bool = True) -> Plan:
+    """The plan of a run that overfits less; a plan that is regularized already stays as it is."""
     most = planned.max_gaussians // FEWER if may_lower else planned.max_gaussians
     smoothed = planned.with_terms(SMOOTH)
     phases = tuple(replace(phase, dropout=phase.dropout or LEFT_OUT) for phase in smoothed.phases)
@@ -149,7 +149,7 @@ def held_back(planned: Plan, *, may_lower: bool = True) -> Plan:
 
 
 def is_sparse(angle: float | None) -> bool:
-    """Whether photos at this angle stand far apart; unknown, they do not."""
+    """Whether photos at this angle are far apart; at an unknown angle they are not."""
     return angle is not None and angle >= FAR_APART
 
 

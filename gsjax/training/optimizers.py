@@ -1,5 +1,6 @@
 """One Adam per field of the Gaussians, with the learning rates of 3DGS."""
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -10,7 +11,7 @@ import optax
 from jax import Array
 
 from gsjax.gaussians import Gaussians
-from gsjax.settings import Rates
+from gsjax.settings import MEANS_FINAL, Rates
 
 LABELS = Gaussians(
     means="means", quats="quats", log_scales="scales", logit_opacities="opacities", sh_dc="sh_dc", sh_rest="sh_rest"
@@ -26,7 +27,7 @@ def labels(gaussians: Any) -> Gaussians:
 def make_optimizer(
     rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1
 ) -> optax.GradientTransformation:
-    """Adam (0.9, 0.999, eps 1e-15) per field; the rate of the means falls log-linearly to `rates.means_final`.
+    """Adam (0.9, 0.999, eps 1e-15) per field; the rate of the means falls log-linearly to `MEANS_FINAL`.
 
     The other rates stay, or fall to `rates.final_share` of themselves in the last third.
 
@@ -39,8 +40,9 @@ def make_optimizer(
     Returns:
         An optax transformation over `Gaussians`.
     """
+    final = math.sqrt(views_per_step) * MEANS_FINAL
     schedule = optax.exponential_decay(
-        rates.means * extent, max(decay_steps, 1), rates.means_final / rates.means, end_value=rates.means_final * extent
+        rates.means * extent, max(decay_steps, 1), final / rates.means, end_value=final * extent
     )
 
     def falling(rate: float):

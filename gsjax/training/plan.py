@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from jax import Array
 
@@ -19,7 +19,9 @@ from gsjax.training.densification.rules import DENSIFICATION_RULES, Densificatio
 from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms, weights_of_data
 from gsjax.training.terms.checking import as_terms, check_term
 
-RATES = "means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"
+T = TypeVar("T", Density, Logging)
+
+RATES = "means", "sh_dc", "sh_rest", "opacities", "scales", "quats"
 """The fields of `Rates` that are rates."""
 
 
@@ -255,8 +257,8 @@ def plan(
         max_gaussians=settings.model.max_gaussians,
         sh_every=_fewer(settings.schedule.sh_every, views),
         rates=_rates(settings.rates, views, begin),
-        density=_density(settings.density, views),
-        logging=_logging(settings.logging, views),
+        density=_in_steps(settings.density, views, "start", "stop", "every", "reset_every"),
+        logging=_in_steps(settings.logging, views, "metrics_every", "evaluate_every", "checkpoint_every"),
         stereo_points=settings.model.stereo_points,
         rule=rule,
         sky_weight=settings.effects.sky_weight,
@@ -310,20 +312,6 @@ def _rates(rates: Rates, views: int, steps: int) -> Rates:
     return replace(rates, **grown, decay_steps=decay)
 
 
-def _density(density: Density, views: int) -> Density:
-    return replace(
-        density,
-        start=_fewer(density.start, views),
-        stop=_fewer(density.stop, views),
-        every=_fewer(density.every, views),
-        reset_every=_fewer(density.reset_every, views),
-    )
-
-
-def _logging(logging: Logging, views: int) -> Logging:
-    return replace(
-        logging,
-        metrics_every=_fewer(logging.metrics_every, views),
-        evaluate_every=_fewer(logging.evaluate_every, views),
-        checkpoint_every=_fewer(logging.checkpoint_every, views),
-    )
+def _in_steps(record: T, views: int, *names: str) -> T:
+    """A record with fields that count photos, in steps of so many views."""
+    return replace(record, **{name: _fewer(getattr(record, name), views) for name in names})

@@ -137,11 +137,11 @@ def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, 
     monkeypatch.setattr(sparse_views, "SHORTEST", 30)
     settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"sparse_views": True}}))
     train_until_killed(8, scene, tmp_path / "run", settings)
-    line = "held back to 450 Gaussians, each step leaves out 20% of them (photos kept from short trials: +0.5 +-0.1 dB)"
+    line = "with 450 Gaussians, of which each step leaves out 20% (validation runs: +0.5 +-0.1 dB)"
     assert line in capsys.readouterr().err
     for name, how in {"run": {"resume": True}, "other": {"warm_start": tmp_path / "run"}}.items():
         pipeline.train(scene, tmp_path / name, settings, **how)
-        assert "short trials: +0.5 +-0.1 dB" in capsys.readouterr().err
+        assert "validation runs: +0.5 +-0.1 dB" in capsys.readouterr().err
         plan = json_files.read(tmp_path / name / "plan.json")
         assert plan["max_gaussians"] == 450
         assert [phase["dropout"] for phase in plan["phases"]] == [0.2] * 3

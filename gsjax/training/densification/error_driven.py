@@ -16,7 +16,7 @@ from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation
 from gsjax.rendering import View
 from gsjax.scene.batches import Batch
 from gsjax.settings import Density
-from gsjax.training.densification.gradient_driven import Moves
+from gsjax.training.densification.gradient_driven import MAX_SHARE, MIN_OPACITY, Moves
 
 SHORTER = 0.6  # A half's deviation along the axis that splits, in those of the whole; the others stay.
 APART = (1 - SHORTER**2) ** 0.5  # And how far off it sits: both halves together spread as the whole did.
@@ -111,8 +111,8 @@ def densify(
     rows = gaussians.num_gaussians
     # What floats before the cameras must be small; what is far behind may be few, and then each is large.
     away = jnp.maximum(statistics.depths / jnp.maximum(statistics.views, 1), 1)
-    too_large = scales(gaussians).max(-1) > density.max_share * extent * jnp.square(away)
-    stays = is_alive(gaussians) & (opacities(gaussians) >= density.min_opacity)
+    too_large = scales(gaussians).max(-1) > MAX_SHARE * extent * jnp.square(away)
+    stays = is_alive(gaussians) & (opacities(gaussians) >= MIN_OPACITY)
     stays &= ~(jnp.asarray(prune_large) & too_large)
     staying = jnp.sum(stays, dtype=jnp.int32)
     candidates = stays & (statistics.error > 0)

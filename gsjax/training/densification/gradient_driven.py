@@ -13,6 +13,9 @@ from jax import Array
 from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation_matrices, scales, take
 from gsjax.settings import Density
 
+DENSE_SHARE = 0.01  # of the extent: larger Gaussians split, smaller ones are cloned (3DGS, percent_dense)
+MIN_OPACITY = 0.005  # under which Gaussians are pruned (3DGS, train.py)
+MAX_SHARE = 0.1  # of the extent: larger ones are pruned, by `error_driven` the near ones (3DGS)
 SPLIT = 1.6  # Times smaller than the whole are the halves of a split (3DGS: 0.8 times two).
 RESET_OPACITY = 0.01  # to which opacities are capped (3DGS)
 LARGE_SHARE = 0.2  # Of `density.stop`: where nothing resets opacities, size prunes after it. 3DGS: 3,000 of 15,000.
@@ -100,7 +103,7 @@ def densify(
 
     A Gaussian whose mean gradient reaches `density.gradient` is cloned when small (the copy starts with zero moments)
     and split when large (two samples of itself, 1.6 times smaller, both with zero moments). Pruned is what then is
-    under `density.min_opacity` and, if `prune_large`, larger than `density.max_share` of the extent: a large, badly
+    under `MIN_OPACITY` and, if `prune_large`, larger than `MAX_SHARE` of the extent: a large, badly
     fitted Gaussian leaves its halves behind where these are small enough. Where rows are short it waits, whole.
 
     Args:
@@ -119,13 +122,13 @@ def densify(
     capacity = gaussians.num_gaussians
     largest = scales(gaussians).max(-1)
     gradient = statistics.gradient / jnp.maximum(statistics.views, 1)
-    is_opaque = is_alive(gaussians) & (opacities(gaussians) >= density.min_opacity)
+    is_opaque = is_alive(gaussians) & (opacities(gaussians) >= MIN_OPACITY)
     wants = is_opaque & (gradient >= density.gradient)
-    splits = largest > density.dense_share * extent
+    splits = largest > DENSE_SHARE * extent
     # Growing changes no opacity and a size by a known factor. So what pruning would take afterwards, children and all,
     # is known now, and its row serves at once.
     to_be = jnp.where(wants & splits, largest / SPLIT, largest)
-    alive = is_opaque & ~(jnp.asarray(prune_large) & (to_be > density.max_share * extent))
+    alive = is_opaque & ~(jnp.asarray(prune_large) & (to_be > MAX_SHARE * extent))
     grows = alive & wants
     # Free rows in order of index, growing Gaussians in order of gradient: the j-th of one takes the j-th of the other.
     free_rows = jnp.argsort(alive, stable=True).astype(jnp.int32)

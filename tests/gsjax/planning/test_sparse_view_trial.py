@@ -1,4 +1,4 @@
-"""Trials with and without holding back: what they are given, what they find, and when they end."""
+"""Validation runs with and without a change: what they are given, what they measure, and when they end."""
 
 from dataclasses import replace
 
@@ -74,7 +74,7 @@ def test_trials_of_one_way_share_their_programs(monkeypatch, scene):
 
 @pytest.fixture
 def told(monkeypatch):
-    """What trials are given; they score zero and 0.1 as it is, and what is in `scores` and `offs` held back."""
+    """What validation runs are given; they score zero and 0.1 without the change, and `scores` and `offs` with it."""
     trials, scores, offs = [], [], {}
 
     def score(way, scene, settings, matched, observe):
@@ -83,7 +83,7 @@ def told(monkeypatch):
         numbers = [int(name[:3]) for name in trials[-1][1]]
         return [Score(scores[i], offs.get(i)) if is_held else Score(0.0, 0.1) for i in numbers]
 
-    monkeypatch.setattr(sparse_view_trial, "_scored", score)
+    monkeypatch.setattr(sparse_view_trial, "score_variant", score)
     monkeypatch.setattr(sparse_view_trial, "training_extent", lambda scene: 1.0)
     return trials, scores, offs
 
@@ -118,7 +118,7 @@ def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, 
         given.append(matched)
         return [Score(0.0, None)] * 2
 
-    monkeypatch.setattr(sparse_view_trial, "_scored", score)
+    monkeypatch.setattr(sparse_view_trial, "score_variant", score)
     last = len(scene.points) - 1
     tracks = Tracks((scene.frames[0].name,), np.zeros(2, int), np.array([0, last]), np.zeros((2, 2)))
     gain(
@@ -165,10 +165,10 @@ def test_depth_is_off_by_what_matched_points_say():
     above[8:] = False  # those at two are masked
 
     def off(depth, *points, valid=whole):
-        return sparse_view_trial._off(depth, valid, camera, np.concatenate(points))
+        return sparse_view_trial.depth_error(depth, valid, camera, np.concatenate(points))
 
     assert off(wall, at_two, at_four, *unseen) == pytest.approx(0.5)
-    assert off(wall, at_two, at_two) == sparse_view_trial.LEAST_OFF
+    assert off(wall, at_two, at_two) == sparse_view_trial.LEAST_ERROR
     assert off(np.zeros((16, 16)), at_four, at_four) == 1.0, "nothing is shown"
     assert off(wall, at_two, *unseen) is None
     assert off(wall, at_two, at_two, at_two, at_four, at_four, valid=above) == pytest.approx(0.5)

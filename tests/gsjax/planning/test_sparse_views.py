@@ -19,8 +19,8 @@ from gsjax.planning.sparse_views import (
     Gain,
     angle_between_photos,
     for_sparse_views,
-    held_back,
     is_tried,
+    regularize,
 )
 from gsjax.scene import Frame, Scene, Tracks
 from gsjax.settings import Model, Phase, Schedule, Settings, Weights
@@ -64,27 +64,27 @@ def test_what_one_photo_has_for_itself_has_no_angle():
     assert angle_between_photos(Scene(Path("bare"), "colmap", (), np.zeros((0, 3)), np.zeros((0, 3)))) is None
 
 
-def test_held_back_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none():
-    found = held_back(PLAN)
+def test_regularized_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none():
+    found = regularize(PLAN)
     assert found.max_gaussians == 500
     assert (found.stereo_points, PLAN.stereo_points) == (55, 0), "one for nine Gaussians"
     weights = [{each.name: each.weight for each in phase.terms} for phase in found.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
     assert [phase.dropout for phase in found.phases] == [LEFT_OUT, LEFT_OUT]
     assert len(found.phases[0].terms) == len(PLAN.phases[0].terms) + 1
-    assert held_back(found, may_lower=False) == found, "a run that goes on is the run that it was"
+    assert regularize(found, may_lower=False) == found, "a run that goes on is the run that it was"
 
 
-def test_held_back_of_two_weights_of_one_term_the_larger_counts():
+def test_of_two_weights_of_one_term_the_larger_counts():
     phases = [Phase(name, SHORTEST, Weights(depth_normal=weight)) for name, weight in (("little", 0.01), ("much", 0.3))]
-    found = held_back(plan(SETTINGS.replace(schedule={"phases": tuple(phases)})))
+    found = regularize(plan(SETTINGS.replace(schedule={"phases": tuple(phases)})))
     weights = [{each.name: each.weight for each in phase.terms} for phase in found.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
     assert [list(each) for each in weights] == [[each.name for each in PLAN.phases[1].terms]] * 2
 
 
 def test_another_share_and_more_points_that_are_asked_for_stay():
-    found = held_back(plan(SETTINGS.replace(schedule={"dropout": 0.5}, model={"stereo_points": 200})))
+    found = regularize(plan(SETTINGS.replace(schedule={"dropout": 0.5}, model={"stereo_points": 200})))
     assert [phase.dropout for phase in found.phases] == [0.5, 0.5]
     assert found.stereo_points == 200
 
@@ -102,12 +102,12 @@ def test_the_angle_decides_where_no_trial_does(degrees, trial):
     """A run that begins in another's checkpoint has no beginning to try, and a short one no time."""
     asked, is_far = SETTINGS.replace(schedule={"phases": SHORT_PHASES}) if trial else SETTINGS, degrees > FAR_APART
     found, decision = for_sparse_views(plan(asked), arc(degrees), asked.schedule, trial=trial)
-    assert found == (held_back(plan(asked)) if is_far else plan(asked))
+    assert found == (regularize(plan(asked)) if is_far else plan(asked))
     assert (decision is not None) == is_far
     if is_far:
         assert decision == Decision(PHOTOS, pytest.approx(degrees, abs=0.02), None, None, held_back=True)
         assert decision.line(found).startswith(
-            f"{PHOTOS} photos {degrees:.0f} degrees apart: held back to 500 Gaussians"
+            f"{PHOTOS} photos {degrees:.0f} degrees apart: sparse-view regularization with 500 Gaussians"
         )
         assert f"each step leaves out {LEFT_OUT:.0%}" in decision.line(found)
 
@@ -116,7 +116,7 @@ def test_the_angle_decides_where_no_trial_does(degrees, trial):
 @pytest.mark.parametrize("degrees", [4.0, FAR_APART + 1])
 def test_trials_decide_of_few_photos_and_what_they_found_is_told(degrees, brings):
     found, decision = for_sparse_views(PLAN, arc(degrees), SETTINGS.schedule, trial=lambda *_: Gain(brings, 0.1))
-    assert found == (held_back(PLAN) if brings > 0 else PLAN)
+    assert found == (regularize(PLAN) if brings > 0 else PLAN)
     assert decision.held_back == (brings > 0)
     assert f"{brings:+.1f} +-0.1 dB" in decision.line(found)
 
@@ -136,10 +136,10 @@ def test_trials_decide_of_few_photos_and_what_they_found_is_told(degrees, brings
 def test_depth_decides_where_pictures_are_not_sure(gain, helps):
     found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=lambda *_: gain)
     assert gain.helps == decision.held_back == helps
-    assert found == (held_back(PLAN) if helps else PLAN)
+    assert found == (regularize(PLAN) if helps else PLAN)
     told = gain.depth is not None
-    assert ("depth there" in decision.line(found)) == told
-    assert not told or f"depth there {np.exp(gain.depth):.2f} times as far off" in decision.line(found)
+    assert ("the error of depth" in decision.line(found)) == told
+    assert not told or f"{np.exp(gain.depth):.2f} times the error of depth" in decision.line(found)
 
 
 def test_a_run_begun_before_depth_was_judged_goes_on():
@@ -150,7 +150,7 @@ def test_a_run_begun_before_depth_was_judged_goes_on():
 def test_a_trial_regularizes_as_the_run_would_be():
     told = []
     for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=lambda *given: told.append(given) or Gain(0.0, 0.0))
-    assert told == [(held_back,)]
+    assert told == [(regularize,)]
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_a_run_that_goes_on_is_as_it_was_decided(gain):
     known = asdict(Decision(PHOTOS, 30.0, gain, error, held_back=was_held))
     found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=never, before=known, may_lower=False)
     assert asdict(decision) == known
-    assert found == (held_back(PLAN, may_lower=False) if was_held else PLAN)
+    assert found == (regularize(PLAN, may_lower=False) if was_held else PLAN)
 
 
 @pytest.mark.parametrize(("degrees", "held_out", "tried"), [(4.0, (), True), (30.0, (0, 5), False)])

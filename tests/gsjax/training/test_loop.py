@@ -36,7 +36,7 @@ SETTINGS = Settings(
         ),
         sh_every=4,
     ),
-    density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5, min_opacity=0.01),
+    density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5),
 )
 OPTIMIZER = make_optimizer(Rates(), EXTENT, 11)
 
@@ -257,7 +257,7 @@ def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frame
 
 def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bits(frames):
     """With Gaussians left out of every step, which a resumed run leaves out as well."""
-    density = Density(rule="error", start=0, stop=6, every=2, full_by=0.5, min_opacity=0.01, max_share=9.0)
+    density = Density(rule="error", start=0, stop=6, every=2, full_by=0.5)
     settings = SETTINGS.replace(
         density=density, schedule={"phases": (replace(SETTINGS.schedule.phases[0], cull_below=0.0),), "dropout": 0.3}
     )

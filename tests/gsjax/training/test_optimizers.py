@@ -7,7 +7,7 @@ import pytest
 from small_scenes import cloud
 from tolerances import assert_close
 
-from gsjax.settings import Rates
+from gsjax.settings import MEANS_FINAL, Rates
 from gsjax.training.optimizers import apply_gradients, make_optimizer, map_moments, rearrange_moments
 
 EXTENT, STEPS = 2.5, 8
@@ -55,7 +55,7 @@ def test_the_means_rate_falls_log_linearly_and_then_stays(optimizer):
     positions = np.stack([np.asarray(SCENE.means), *map(np.asarray, means)]).astype(np.float64)
     moved = -np.diff(positions, axis=0) * np.asarray(SIGNS.means)
     share = np.minimum(np.arange(STEPS + 3) / STEPS, 1)
-    expected = EXTENT * RATES.means * (RATES.means_final / RATES.means) ** share
+    expected = EXTENT * RATES.means * (MEANS_FINAL / RATES.means) ** share
     np.testing.assert_allclose(moved.mean((1, 2)), expected, rtol=0.02, atol=2e-7)
 
 

@@ -86,7 +86,7 @@ def test_everything_comes_after_as_many_photos_and_rates_grow_with_the_root():
     assert larger.density == Density(start=13, stop=225, every=13, reset_every=0)
     assert larger.logging == Logging(13, 0, 63)
     assert larger.rates.final_share == 0.2
-    for name in ("means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"):
+    for name in ("means", "sh_dc", "sh_rest", "opacities", "scales", "quats"):
         assert getattr(larger.rates, name) == pytest.approx(2 * getattr(SETTINGS.rates, name))
 
 

@@ -33,7 +33,7 @@ SKY = backdrop.constant_coefficients(np.array([0.4, 0.6, 0.8]), 2)
 SKY[1] = [0.3, 0.2, -0.2]
 SKY[3] = [-0.2, 0.1, 0.1]
 KEY = jax.random.key(0)
-OPTIMIZER = make_optimizer(Rates(means=2e-3, means_final=2e-4), 1.0, 60)
+OPTIMIZER = make_optimizer(Rates(means=2e-3), 1.0, 200)
 ADDRESS = re.compile(r"0x[0-9a-f]+")  # Of functions, in the text of a program.
 
 

@@ -25,7 +25,16 @@ from gsjax.training.terms import weigh_terms
 
 KEY = jax.random.key(0)
 ROWS, ALIVE = 40, 20
-DENSITY = Density(rule="error", replace=0.1, min_opacity=0.1, max_share=0.5)
+DENSITY = Density(rule="error", replace=0.1)
+MAX_SHARE = 0.5
+
+
+@pytest.fixture(autouse=True)
+def _thresholds(monkeypatch):
+    monkeypatch.setattr(error_driven, "MIN_OPACITY", 0.1)
+    monkeypatch.setattr(error_driven, "MAX_SHARE", MAX_SHARE)
+
+
 EXTENT = 10.0
 
 
@@ -146,7 +155,7 @@ def test_size_prunes_only_when_asked():
 
 def test_what_is_far_away_may_be_larger_by_the_square_of_its_depth():
     large = scene()
-    four_times = 4 * DENSITY.max_share * EXTENT
+    four_times = 4 * MAX_SHARE * EXTENT
     large = replace(large, log_scales=large.log_scales.at[4:8, 1].set(np.log(four_times)))
     depths = 3.0 * np.where(RISING == 4, 1.9, np.where(RISING == 5, 2.1, np.where(RISING == 6, 0.5, 0.0)))
     views = np.where(RISING == 7, 0.0, 3.0)

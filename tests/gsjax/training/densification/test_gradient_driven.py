@@ -12,7 +12,16 @@ from gsjax.training.densification.gradient_driven import GradientStatistics
 from gsjax.training.initialize import DEAD_LOGIT
 
 EXTENT = 10.0
-DENSITY = Density(gradient=0.5, dense_share=0.01, min_opacity=0.1, max_share=0.5)  # small is up to 0.1, large over 5
+DENSITY = Density(gradient=0.5)
+
+
+@pytest.fixture(autouse=True)
+def _thresholds(monkeypatch):
+    """Small is up to 0.1, large over 5."""
+    monkeypatch.setattr(control, "MIN_OPACITY", 0.1)
+    monkeypatch.setattr(control, "MAX_SHARE", 0.5)
+
+
 CAPACITY, ALIVE = 16, 10
 KEY = jax.random.key(3)
 
