@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 from gsjax.config import declare_types, parse_numbers, refuse_moved
 
@@ -154,8 +154,26 @@ class Logging:
         check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
 
-SIMULATED = ("exposure", "vignetting", "poses", "background", "transients")  # effects that training can take in
-EFFECTS = (*SIMULATED, "sky", "blur")  # that --effects names: also where no surface is, and photos to leave out
+class EffectKind(NamedTuple):
+    """How an effect is treated; the module of its name in `gsjax.effects` has its `judge`, and its `simulate`."""
+
+    is_simulated: bool = True  # training learns its numbers
+    is_proposed: bool = True  # "auto" may enable it
+    on_evidence: bool = False  # a run that is too short for validation simulates it on evidence alone
+    per_photo: bool = False  # a checkpoint has one row for each training photo
+
+
+EFFECTS: Mapping[str, EffectKind] = {
+    "exposure": EffectKind(on_evidence=True, per_photo=True),
+    "vignetting": EffectKind(),
+    "poses": EffectKind(on_evidence=True, per_photo=True),
+    "sky": EffectKind(is_simulated=False),  # a term of the loss, and a background
+    "background": EffectKind(),
+    "transients": EffectKind(),
+    "blur": EffectKind(is_simulated=False, is_proposed=False),  # photos are left out
+}
+"""The effects by name, in the order in which they are validated."""
+SIMULATED = tuple(name for name, kind in EFFECTS.items() if kind.is_simulated)
 AUTO, NONE = "auto", "none"
 
 

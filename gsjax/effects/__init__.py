@@ -1,1 +1,12 @@
-"""Effects of photography: how a scene tells that it needs one, and how training takes it in."""
+"""Effects of photography: their evidence in a scene, and their simulation in training. One module is one effect."""
+
+import importlib
+from types import ModuleType
+
+
+def effect_module(name: str) -> ModuleType:
+    """The module of an effect that `gsjax.settings.EFFECTS` names.
+
+    It has `judge(findings)`, which returns `Evidence`, and `simulate(begun, rate)`, which returns an `Effect`.
+    """
+    return importlib.import_module(f"gsjax.effects.{name}")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from gsjax.effects import background, exposure, poses, transients, vignetting
+from gsjax.effects import background, effect_module, exposure, poses, vignetting
 from gsjax.effects.observations import Observations
 from gsjax.effects.photo_gains import fit, table
 from gsjax.effects.simulation import Effects, EffectState
@@ -105,24 +105,7 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
         chosen: Their names.
         rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.simulation.learning_rate`.
     """
-    whose, count = begun.camera[begun.trained], len(begun.falloff)
-    # What tracks have told is near: less of what a young scene cannot show yet is then laid to it.
-    gains, cameras = (each.RATE_KNOWN if begun.tracked else each.RATE for each in (exposure, poses))
-    effects = {
-        "exposure": lambda: exposure.make_effect(begun.log_gains[begun.trained], rate(peak=gains)),
-        "vignetting": lambda: vignetting.make_effect(begun.falloff, whose, rate()),
-        "poses": lambda: poses.make_effect(
-            begun.centers[begun.trained],
-            begun.distance,
-            whose,
-            count,
-            rate(peak=cameras, hold=poses.HOLD, share=poses.HOLD_SHARE),
-            begun.twists[begun.trained],
-        ),
-        "background": lambda: background.make_effect(begun.background, rate(peak=background.RATE, hold=0)),
-        "transients": lambda: transients.make_effect(rate(peak=transients.RATE, hold=0, final=1.0)),
-    }
-    return {name: effects[name]() for name in SIMULATED if name in chosen}
+    return {name: effect_module(name).simulate(begun, rate) for name in SIMULATED if name in chosen}
 
 
 def appearances(begun: Start, state: EffectState) -> dict[str, Appearance]:

@@ -1,7 +1,8 @@
 """Open sky or a bare backdrop: light that comes from no surface, and so from no Gaussian."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import optax
@@ -9,11 +10,14 @@ import optax
 from gsjax.effects import sky
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.observations import Observations
-from gsjax.effects.parallax import Parallax
 from gsjax.effects.simulation import Effect
 from gsjax.effects.sky import Masks
 from gsjax.rendering import backdrop
 from gsjax.scene import Frame
+
+if TYPE_CHECKING:
+    from gsjax.effects.appearance import Start
+    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
@@ -24,13 +28,9 @@ _WHITE, _MOSTLY = 254.5, 0.9  # of every channel, of 255; of the places
 _ONE_COLOR = 0.02  # standard deviation over the photos, and within them
 
 
-def judge(seen: Observations, compared: Parallax | None = None) -> Evidence:
-    """Judge whether light comes from no surface: where much is bright, smooth and unmatched, and no wall explains it.
-
-    Args:
-        seen: The photos.
-        compared: What `gsjax.effects.parallax.compare` measured of what is bare in them.
-    """
+def judge(findings: "Findings") -> Evidence:
+    """Judge whether light comes from no surface: much is bright, smooth and unmatched, and no wall explains it."""
+    seen, compared = findings.seen, findings.bare
     if any(facts.has_matte for facts in seen.facts):
         note = "mattes tell the object from what is behind it: --background random serves"
         return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, note)
@@ -120,6 +120,11 @@ def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray
     beyond = np.maximum(np.maximum(skies - lightest, darkest - skies), 0)
     off = np.hypot(np.sqrt(np.square(beyond).mean(0)).max(), max(spread - (lightest - darkest).mean(), 0))
     return bool(off < _ONE_COLOR)
+
+
+def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
+    return make_effect(begun.background, rate(peak=RATE, hold=0))
 
 
 def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:

@@ -1,9 +1,14 @@
 """Blurred photos, one or all: named, and left out where others show the same; not simulated."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from gsjax.effects.evidence import Evidence
 from gsjax.effects.observations import Observations
+
+if TYPE_CHECKING:
+    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.5  # of the median sharpness, lost
 DROP = 0.7  # A photo that lost more is left out of training,
@@ -12,8 +17,9 @@ SHARP_EDGE = 1.5  # pixels: photos whose sharpest edges are twice as wide lack h
 _SHOWN = 5
 
 
-def judge(seen: Observations) -> Evidence:
+def judge(findings: "Findings") -> Evidence:
     """Judge whether photos lack half of the median photo's sharpness, which the note names, or all lack resolution."""
+    seen = findings.seen
     lost, blurred_by = _lost(seen), _lost_by_all(seen)
     blurred = np.flatnonzero(lost > THRESHOLD)
     names = [seen.frames[index].name for index in blurred[np.argsort(-lost[blurred])]]

@@ -2,24 +2,26 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from gsjax.effects import (
-    background,
-    blur,
-    exposure,
-    parallax,
-    poses,
-    sky,
-    transients,
-    vignetting,
-)
+from gsjax.effects import background, effect_module, exposure, parallax, poses, sky
 from gsjax.effects.evidence import Evidence
 from gsjax.effects.observations import Observations, observe
 from gsjax.effects.sky import Masks
 from gsjax.scene import Frame, Scene
+from gsjax.settings import EFFECTS
+
+
+class Findings(NamedTuple):
+    """What photos and tracks show, for every effect to judge."""
+
+    seen: Observations
+    gains: exposure.Gains | None  # None: no point is seen in three photos
+    steps: tuple[poses.Step | None, ...]  # a frame
+    bare: parallax.Parallax | None  # of what is bright, smooth and unmatched
+    sky: Evidence
 
 
 @dataclass(frozen=True)
@@ -67,17 +69,10 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
     gains, steps = exposure.estimate(seen), poses.gauss_newton_steps(seen)
     masks = sky.find(seen)
     of_sky = _parallax(seen, sky.regions(seen, masks), gains)
-    above = sky.judge(seen, masks, of_sky)
+    above = sky.judge_masks(seen, masks, of_sky)
     of_bare = of_sky if above.on else _parallax(seen, background.bare_regions(seen), gains)
-    effects = {
-        "exposure": exposure.judge(seen, gains),
-        "vignetting": vignetting.judge(seen, gains),
-        "background": background.judge(seen, of_bare),
-        "sky": above,
-        "poses": poses.judge(seen, steps),
-        "transients": transients.judge(seen, gains),
-        "blur": blur.judge(seen),
-    }
+    findings = Findings(seen, gains, steps, of_bare, above)
+    effects = {name: effect_module(name).judge(findings) for name in EFFECTS}
     return Diagnosis(effects, seen, gains, steps, masks if above.on else {}, masks)
 
 

@@ -1,6 +1,7 @@
 """Exposure and white balance: photos of one scene that differ by a factor in every channel."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,10 @@ from gsjax.effects.photo_gains import Fit, Table, fit, held_out_ratio, table
 from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.scene.batches import Batch
 from gsjax.scene.colors import srgb_to_linear
+
+if TYPE_CHECKING:
+    from gsjax.effects.appearance import Start
+    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviation: 0.26 dB of PSNR at 30 dB
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,
@@ -51,8 +56,9 @@ def estimate(seen: Observations) -> Gains | None:
     return Gains(data, fit(data), noise, ratio, _agreement(seen, data))
 
 
-def judge(seen: Observations, gains: Gains | None) -> Evidence:
+def judge(findings: "Findings") -> Evidence:
     """On where photos differ by more than noise, alike all over the scene, and gains predict unseen points."""
+    seen, gains = findings.seen, findings.gains
     if gains is None:
         why = "no point is seen in three photos" if seen.tracked else "no tracks beside these photos"
         return unknown("EV", THRESHOLD, why)
@@ -71,6 +77,12 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     if any(differ) and not on:
         note += "; photos differ, but not by one gain each"
     return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, note)
+
+
+def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
+    peak = RATE_KNOWN if begun.tracked else RATE  # near its start, an effect explains less of what a scene lacks yet
+    return make_effect(begun.log_gains[begun.trained], rate(peak=peak))
 
 
 def make_effect(initial: np.ndarray, rate: optax.Schedule) -> Effect:

@@ -1,7 +1,8 @@
 """Poses that do not agree with the tracks, and cameras that training moves to where their photos say they stood."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,10 @@ from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
 from gsjax.scene import Frame
 from gsjax.scene.cameras import Camera
+
+if TYPE_CHECKING:
+    from gsjax.effects.appearance import Start
+    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.3  # pixels
 SIGNIFICANT = 3  # standard errors
@@ -45,9 +50,9 @@ def gauss_newton_steps(seen: Observations) -> tuple[Step | None, ...]:
     return tuple(_step(seen, index) for index in range(len(seen.frames)))
 
 
-def judge(seen: Observations, found: tuple[Step | None, ...]) -> Evidence:
+def judge(findings: "Findings") -> Evidence:
     """On where a fifth of the photos would move their points by more than a third of a pixel, and are sure of it."""
-    known = [step for step in found if step is not None]
+    known = [step for step in findings.steps if step is not None]
     if not known:
         return unknown("px", THRESHOLD, "needs keypoints matched in the photos")
     value = float(np.quantile([step.shift for step in known], 1 - SHARE))
@@ -79,6 +84,18 @@ def twists_from_tracks(seen: Observations) -> np.ndarray:
         if step is not None and step.is_sure:
             found[index] = *step.turn, *step.move
     return found
+
+
+def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
+    return make_effect(
+        begun.centers[begun.trained],
+        begun.distance,
+        begun.camera[begun.trained],
+        len(begun.falloff),
+        rate(peak=RATE_KNOWN if begun.tracked else RATE, hold=HOLD, share=HOLD_SHARE),
+        begun.twists[begun.trained],
+    )
 
 
 def make_effect(

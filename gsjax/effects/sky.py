@@ -6,7 +6,7 @@ depends on the direction alone (`gsjax.effects.parallax`): to take a surface awa
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -17,6 +17,9 @@ from gsjax.effects.parallax import Parallax
 from gsjax.scene import Frame
 from gsjax.scene.cameras import landing
 from gsjax.scene.georeference import up_of_cameras
+
+if TYPE_CHECKING:
+    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 1.2  # times the error at infinity, which any other place of the light has at least
 LARGE_ROOM = 2 / 3  # of that threshold, for rooms far larger than what was matched: a sky is hardly different from them
@@ -61,7 +64,12 @@ def find(seen: Observations) -> Masks:
     return masks if strong >= max(FEWEST, SHARE * len(views)) else {}
 
 
-def judge(seen: Observations, masks: Masks, compared: Parallax | None = None) -> Evidence:
+def judge(findings: "Findings") -> Evidence:
+    """The evidence of `judge_masks`, by which the diagnosis finds its masks."""
+    return findings.sky
+
+
+def judge_masks(seen: Observations, masks: Masks, compared: Parallax | None = None) -> Evidence:
     """Judge whether the regions of `find` are sky; on only where their light comes from infinity.
 
     Args:

@@ -5,7 +5,9 @@ RobustNeRF, Sabour et al. 2023, and SpotLessSplats for Gaussians). Nothing is le
 the residuals of all photos: one that shows nothing foreign keeps nearly all of its pixels.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -14,12 +16,14 @@ import optax
 from jax import Array
 
 from gsjax.effects.evidence import Evidence, unknown
-from gsjax.effects.exposure import Gains
-from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
 from gsjax.numerics import masked_mean
 from gsjax.scene.batches import Batch
 from gsjax.settings import Density
+
+if TYPE_CHECKING:
+    from gsjax.effects.appearance import Start
+    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.25  # of the observations
 FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches
@@ -27,18 +31,25 @@ OUTLIER = 4  # standard deviations
 QUANTILE = 0.8  # of the residuals of all photos
 REACH = 4.0  # times it: edges that are a little off are no strangers
 WINDOW = 5  # pixels across, of which most must agree
-LATER = 0.5  # of the time of growth, by which it is put off
+LATER = 0.5  # of the time of densification, by which it is delayed
 RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 150 steps
 
 
-def judge(seen: Observations, gains: Gains | None) -> Evidence:
+def judge(findings: "Findings") -> Evidence:
     """Judge by the colours along tracks. Movers that left no tracks are not detected: tracks hold what matched."""
+    gains = findings.gains
     if gains is None or not len(gains.fit.residuals):
         return unknown("share of observations", THRESHOLD, "needs points that three photos see")
     size = np.sqrt(np.square(gains.fit.residuals).mean(1))
     value = float((size > OUTLIER * gains.fit.sigma).mean())
     note = "colours off by 4 sigma after gains; sheen and shadows count too: give masks where something moved"
     return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, note)
+
+
+def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
+    del begun
+    return make_effect(rate(peak=RATE, hold=0, final=1.0))
 
 
 def make_effect(rate: optax.Schedule) -> Effect:
@@ -53,8 +64,8 @@ def make_effect(rate: optax.Schedule) -> Effect:
     return Effect(np.float32(0), rate, trusts=trusts)
 
 
-def delay_growth(density: Density, steps: int) -> Density:
-    """Growth that waits until masks stand, and ends as much later (RobustSplat, Fu et al. 2025).
+def delay_densification(density: Density, steps: int) -> Density:
+    """Densification that waits until masks stand, and ends as much later (RobustSplat, Fu et al. 2025).
 
     What grew before to show a stranger, close before the one camera that saw it, no other photo would take away again.
 

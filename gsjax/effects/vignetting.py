@@ -1,5 +1,8 @@
 """Vignetting: photos that are darker towards their corners."""
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -12,6 +15,10 @@ from gsjax.effects.photo_gains import Fit, Table, fit, project
 from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
+
+if TYPE_CHECKING:
+    from gsjax.effects.appearance import Start
+    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.1  # EV at the corner
 SIGNIFICANT = 5  # standard errors
@@ -67,8 +74,9 @@ def halves(seen: Observations, gains: Gains) -> list[tuple[float, float]]:
     return found
 
 
-def judge(seen: Observations, gains: Gains | None) -> Evidence:
+def judge(findings: "Findings") -> Evidence:
     """Judge whether corners are darker, in all photos or in one half of them, by more than noise."""
+    seen, gains = findings.seen, findings.gains
     if gains is None:
         return unknown("EV", THRESHOLD, "needs points that three photos see")
     slope, error = corner(seen, gains)
@@ -81,6 +89,11 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
         note += "; one fall-off cannot describe both halves"
     on = -slope > max(THRESHOLD, SIGNIFICANT * error)
     return Evidence(bool(on), -slope, "EV", error, THRESHOLD, note)
+
+
+def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
+    return make_effect(begun.falloff, begun.camera[begun.trained], rate())
 
 
 def make_effect(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:

@@ -30,13 +30,12 @@ from gsjax.planning.effect_validation import PARTS, Validate
 from gsjax.planning.validation import WORTH, Validated
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Scene
-from gsjax.settings import AUTO, NONE, SIMULATED, named_effects
-from gsjax.settings import EFFECTS as NAMES
+from gsjax.settings import AUTO, EFFECTS, NONE, SIMULATED, named_effects
 from gsjax.training.plan import Plan
 
-PROPOSED = ("exposure", "vignetting", "poses", "sky", "background", "transients")
+PROPOSED = tuple(name for name, kind in EFFECTS.items() if kind.is_proposed)
 """Effects that "auto" may simulate, in the order in which they are validated."""
-UNVALIDATED = ("exposure", "poses")
+UNVALIDATED = tuple(name for name, kind in EFFECTS.items() if kind.on_evidence)
 """Those that a run which is too short for validation simulates on evidence alone: they remove no surface."""
 STRICTER = 1.5  # times the threshold, which evidence alone must exceed
 _PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
@@ -95,7 +94,7 @@ class ChosenEffects:
             InputError: One has the name of an effect of this library.
         """
         for name in effects:
-            if name in NAMES:
+            if name in EFFECTS:
                 raise InputError(f"effects: {name!r} is an effect of the library; give yours another name")
         return replace(self, effects={**self.effects, **effects})
 
@@ -238,7 +237,7 @@ def _line(found: Diagnosis, simulated: Sequence[str], validated: Mapping[str, Va
 
 def _with_given(found: Diagnosis, skies: sky.Masks) -> Diagnosis:
     """The diagnosis with a sky that was given instead of what the photos show."""
-    evidence = sky.judge(found.seen, skies)
+    evidence = sky.judge_masks(found.seen, skies)
     given = evidence._replace(on=True, note=f"given by --sky: {sky.told(skies, found.seen.frames)}")
     return replace(found, sky=skies, effects=found.effects | {"sky": given})
 

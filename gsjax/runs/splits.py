@@ -8,9 +8,10 @@ from typing import Any
 from gsjax.errors import InputError
 from gsjax.io.messages import first_names, print_once
 from gsjax.scene import Frame, Scene
+from gsjax.settings import EFFECTS
 
 SHAPE = {"train": [str], "held_out": [str]}
-PER_PHOTO = ("exposure", "poses")
+PER_PHOTO = tuple(name for name, kind in EFFECTS.items() if kind.per_photo)
 """Effects of which a checkpoint holds one row for each photo that is trained on."""
 
 Split = Mapping[str, bool]

@@ -102,7 +102,7 @@ class Plan:
         """The plan of a run that simulates these effects: masks of transients delay densification, a sky has a term."""
         names = tuple(names)
         growing = sum(phase.steps for phase in self.phases if phase.rule)
-        density = transients.delay_growth(self.density, growing) if "transients" in names else self.density
+        density = transients.delay_densification(self.density, growing) if "transients" in names else self.density
         whole = self.with_terms(weights_of_data("sky", self.sky_weight)) if "sky" in names else self
         return replace(whole, effects=names, density=density)
 

@@ -24,16 +24,8 @@ from gsjax.pipeline.diagnose import apart_line
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Pixels, with_pixels
 from gsjax.scene.cameras import pixel_rays
+from gsjax.settings import EFFECTS
 
-EFFECTS = [
-    "exposure",
-    "vignetting",
-    "background",
-    "sky",
-    "poses",
-    "transients",
-    "blur",
-]
 FIELDS = ["on", "evidence", "unit", "noise", "threshold", "note"]
 
 
@@ -54,7 +46,7 @@ def middle(frame) -> float:
 
 def test_a_clean_scene_calls_for_nothing():
     record = diagnose(wall()).record()
-    assert list(record["effects"]) == EFFECTS
+    assert list(record["effects"]) == list(EFFECTS)
     assert all(list(effect) == FIELDS for effect in record["effects"].values())
     assert [name for name, effect in record["effects"].items() if effect["on"]] == []
     assert list(record["photos"][0]) == ["name", "gains", "sharpness", "pose_step_px", "sky"]
@@ -264,7 +256,7 @@ def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder,
     assert [line.split()[0] for line in printed] == ["effect", *EFFECTS] and not empty
     written = json.loads(target.read_text())
     assert apart == apart_line(written["apart"])
-    assert list(written["effects"]) == EFFECTS
+    assert list(written["effects"]) == list(EFFECTS)
     assert len(written["photos"]) == 12
     assert read_image(target.with_suffix(".png"))[0].std() > 10
     assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2

@@ -143,7 +143,7 @@ def test_one_photo_no_points_and_mattes_tell_of_none(made):
     matte = np.full(SIZE[::-1], 255, np.uint8)
     cut_out = tuple(with_pixels(frame, frame.pixels()._replace(matte=matte)) for frame in scene.frames)
     seen = observe(replace(scene, frames=cut_out))
-    assert not sky.find(seen) and not sky.judge(seen, {}).on
+    assert not sky.find(seen) and not sky.judge_masks(seen, {}).on
 
 
 def test_what_is_masked_is_no_sky(made):

@@ -107,9 +107,9 @@ def test_hard_cases_in_value_and_gradient(number, photo, is_valid):
     assert (slopes[0] != 0) == is_valid
 
 
-def test_growth_waits_for_the_masks():
+def test_densification_waits_for_the_masks():
     growth = Density(start=100, stop=500)
-    assert transients.delay_growth(growth, 1000) == replace(growth, start=300, stop=700)
-    assert transients.delay_growth(growth, 600) == replace(growth, start=300, stop=600)
-    assert transients.delay_growth(Density(start=500, stop=15000), 7000) == Density(start=3750, stop=15000)
-    assert transients.delay_growth(Density(start=500, stop=400), 1000) == Density(start=500, stop=400)
+    assert transients.delay_densification(growth, 1000) == replace(growth, start=300, stop=700)
+    assert transients.delay_densification(growth, 600) == replace(growth, start=300, stop=600)
+    assert transients.delay_densification(Density(start=500, stop=15000), 7000) == Density(start=3750, stop=15000)
+    assert transients.delay_densification(Density(start=500, stop=400), 1000) == Density(start=500, stop=400)
