@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from types import SimpleNamespace
 
 import pytest
@@ -98,14 +97,12 @@ def test_freed_memory_stays_with_the_allocator_unless_the_user_sets_it(monkeypat
     assert len(options) == calls
 
 
-def test_help_answers_at_once_and_without_jax():
-    show = "import sys, gsjax.cli; code = gsjax.cli.main(['--help']); sys.exit(code or 'jax' in sys.modules)"
-    start = time.perf_counter()
+def test_help_imports_no_heavy_package():
+    heavy = "bool({'jax', 'numba', 'open3d'} & {*sys.modules})"
+    show = f"import sys, gsjax.cli; code = gsjax.cli.main(['--help']); sys.exit(code or {heavy})"
     done = subprocess.run([sys.executable, "-c", show], capture_output=True, text=True)
-    seconds = time.perf_counter() - start
     assert done.returncode == 0, done.stderr
     assert all(command in done.stdout for command in ("train", "mesh", "render"))
-    assert seconds < 2  # 0.05 s alone; a loaded machine gets time, an import of jax or open3d does not pass above.
 
 
 def test_python_dash_m_is_the_same_command():
