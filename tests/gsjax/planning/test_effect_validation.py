@@ -1,11 +1,14 @@
 """Validation of effects: what is held out, how variants are compared, and which effects pass."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
 from photographed_wall import gains as drawn_gains
 from photographed_wall import radii2, relit, wall
+from scipy.spatial.transform import Rotation
 from small_scenes import built_in
 
 from gsjax.config import parse
@@ -86,6 +89,33 @@ def test_a_real_falloff_passes_and_an_invented_one_does_not(scene, kind):
     found = validation(photos)(seen, ("vignetting",), {})["vignetting"]
     assert found.passes == (kind == "vignetting")
     assert found.gain < 0.05 or kind == "vignetting"
+
+
+def turned(scene, degrees):
+    """Every camera turned by so much."""
+    rng = np.random.default_rng(0)
+
+    def turn(frame):
+        matrix = np.eye(4)
+        matrix[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * rng.normal(size=3) / np.sqrt(3)).as_matrix()
+        return replace(frame, viewmat=(matrix @ frame.viewmat).astype(np.float32))
+
+    return replace(scene, frames=tuple(map(turn, scene.frames)))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("effect", ["exposure", "poses", None])
+def test_what_photos_differ_in_passes(tmp_path, effect):
+    clean = load_scene(built_in(tmp_path / "scene", num_views=24, size=(96, 96)))
+    stops = drawn_gains(clean, 0.3)
+    photos = {
+        "exposure": lambda: relit(clean, lambda index, *_: stops[index]),
+        "poses": lambda: turned(clean, 0.3),
+        None: lambda: clean,
+    }[effect]()
+    settings = SETTINGS.replace(schedule={"phases": (Phase("vanilla", 800),)})
+    chosen = choose_effects("auto", plan(settings), photos, validation(photos, settings))
+    assert chosen.names == ((effect,) if effect else ())
 
 
 @pytest.mark.parametrize("name", ["quick", "fast", "balanced", "accurate"])
