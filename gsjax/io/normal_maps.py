@@ -10,9 +10,9 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
+from gsjax.io.bad_items import leave_out, read_usable
 from gsjax.io.image_folders import files_of_photos
 from gsjax.io.images import cv2, image_size, same_shape
-from gsjax.io.messages import first_names
 from gsjax.io.normal_folders import is_recorded
 from gsjax.io.photo_names import path_inside
 from gsjax.io.photos import scaled_size
@@ -26,6 +26,9 @@ _REDUCTIONS = range(1, 17)  # Whole factors by which a map may be smaller and it
 
 def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, Callable[[], np.ndarray]]:
     """Readers of the frames' normal maps, each brought to its frame: one map at a time is in memory.
+
+    Each map is read once now. Maps that are missing or cannot be used are left out and named
+    (`gsjax.io.bad_items`): their frames have a map that says nothing.
 
     A map has its frame's name with the suffix `.npy`, `.npz` (the array `cam`, or the only one) or `.png` (8 or 16
     bit, n = 2v - 1), in place of the photo's or after it, in the same subfolder or in `directory` itself. Arrays are
@@ -44,19 +47,26 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
         Frame name -> function that reads [H, W, 3] float32, unit length, exactly zero where the map says nothing.
 
     Raises:
-        InputError: A map is missing, or by its header it is no map, or none of this frame. Reading one raises
-            it where the map is damaged or holds values that are not finite.
+        InputError: There is no such folder, or less than half of the maps can be used. A map cannot be used where it
+            is missing, damaged, of another view than the frame, or holds values that are not finite.
     """
     directory = Path(directory)
     if not os.path.isdir(directory):
         raise InputError(f"{directory}: no such folder of normal maps")
     files = files_of_photos(directory, (frame.name for frame in frames), _SUFFIXES)
-    missing = [frame.name for frame in frames if frame.name not in files]
-    if missing:
-        plural = "s" * (len(missing) > 1)
-        raise InputError(f"{directory}: {len(missing)} normal map{plural} missing: {first_names(missing)}")
     undistorted = is_recorded(directory)
-    return {frame.name: _reader(files[frame.name], frame, undistorted) for frame in frames}
+
+    def usable_reader(frame: Frame) -> Callable[[], np.ndarray]:
+        if frame.name not in files:
+            raise InputError(f"{directory}: no normal map of {frame.name}")
+        read = _reader(files[frame.name], frame, undistorted)
+        read()
+        return read
+
+    readers, faults = read_usable(frames, lambda frame: frame.name, lambda frame: (frame.name, usable_reader(frame)))
+    leave_out("normal maps", faults, len(frames), needed=(len(frames) + 1) // 2)
+    nothing = {frame.name: partial(np.zeros, (frame.height, frame.width, 3), np.float32) for frame in frames}
+    return nothing | dict(readers)
 
 
 def map_places(frames: Sequence[Frame]) -> dict[str, PurePosixPath]:
