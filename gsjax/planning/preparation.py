@@ -140,7 +140,7 @@ def prepare(asked: Asked, loaded: Loaded) -> Prepared:
     """Read photos and priors, as far as memory allows, and choose the effects."""
     settings, maps = asked.settings, asked.settings.supervision
     memory, sparse = _size(asked, loaded.scene)
-    scene = _read_photos(loaded.scene, memory.keep)
+    scene = read_photos(loaded.scene, memory.keep)
     report(*_opening_lines(memory.plan, settings, loaded.line), sparse and sparse.line(memory.plan))
     inspected = look_for_effects(settings.effects.names, scene)
     scene = inspected.scene
@@ -193,7 +193,7 @@ def _size(asked: Asked, scene: Scene) -> tuple[Fitted, Decision | None]:
     return memory, sparse
 
 
-def _read_photos(scene: Scene, keep: Keep) -> Scene:
+def read_photos(scene: Scene, keep: Keep) -> Scene:
     """The scene with its photos in memory or on the disk: a damaged one is found before the run begins."""
     photos = tqdm(scene.frames, desc="photos", unit="photo", leave=False)
     scene = replace(scene, frames=tuple(preload(frame, keep) for frame in photos))

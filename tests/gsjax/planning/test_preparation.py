@@ -1,4 +1,3 @@
-import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -6,14 +5,13 @@ import pytest
 from photographed_wall import wall
 
 from gsjax.errors import InputError
-from gsjax.scene import with_pixels
-
-train = importlib.import_module("gsjax.pipeline.train")  # The package's attribute of that name is the function.
+from gsjax.planning.preparation import read_photos
+from gsjax.scene import in_memory, with_pixels
 
 
 def test_masks_that_leave_nothing_are_refused():
     scene = wall(3)
     bare = [with_pixels(f, f.pixels()._replace(valid=np.zeros((f.height, f.width), np.uint8))) for f in scene.frames]
-    train._require_pixels(replace(scene, frames=(*bare[:2], scene.frames[2])))
+    assert len(read_photos(replace(scene, frames=(*bare[:2], scene.frames[2])), in_memory).frames) == 3
     with pytest.raises(InputError, match="wall: its masks leave no pixel of any photo"):
-        train._require_pixels(replace(scene, frames=tuple(bare)))
+        read_photos(replace(scene, frames=tuple(bare)), in_memory)
