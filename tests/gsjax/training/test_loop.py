@@ -22,7 +22,7 @@ from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
 from gsjax.training.state import count_alive, initial_state
 from gsjax.training.step import BACKGROUNDS
-from gsjax.training.terms import TERMS, Term, weigh_terms
+from gsjax.training.terms import weigh_terms
 
 PLAIN = Weights(dssim=0.0)
 EXTENT, ALIVE, CAPACITY = 1.0, 30, 48
@@ -290,20 +290,3 @@ def test_the_next_run_of_the_same_settings_finds_its_programs():
         assert loop.kept_step(optimizer, plain, effects=NO_EFFECTS, **{**how, **other}) is not step
     assert loop.kept_step(make_optimizer(Rates(means=1.0), EXTENT, 11), plain, effects=NO_EFFECTS, **how) is not step
     assert loop.kept_step(optimizer, plain, effects={"none": Effect((), optax.constant_schedule(0))}, **how) is not step
-
-
-def test_a_term_that_was_edited_is_another_program():
-    how = {"capacity": 128, "background": BACKGROUNDS["white"], "sh_every": 4, "rule": None, "effects": NO_EFFECTS}
-
-    def step_with(loss):
-        own = weigh_terms(Weights(dssim=0.0, own=0.1), {**TERMS, "own": Term(loss)})
-        return loop.kept_step(OPTIMIZER, own, **how)
-
-    def first(gaussians, view, batch):
-        return jnp.mean(view.alphas)
-
-    def edited(gaussians, view, batch):
-        return 1 - jnp.mean(view.alphas)
-
-    assert step_with(first) is step_with(first)
-    assert step_with(edited) is not step_with(first)

@@ -113,21 +113,6 @@ def test_a_term_of_ones_own_stands_beside_the_others_or_in_the_place_of_one():
     assert next(each.term.loss for each in planned.terms if each.name == "l1") is needles
 
 
-@pytest.mark.parametrize(
-    ("settings", "own", "message"),
-    [
-        (
-            SETTINGS.replace(schedule={"phases": (Phase("last", 1, Weights(sdf_norml=0.1)),)}),
-            {},
-            r"phases\.last\.weights\.sdf_norml: no such term of the loss; the nearest known one is 'sdf_normal'",
-        ),
-    ],
-)
-def test_what_cannot_run_is_refused_by_name(settings, own, message):
-    with pytest.raises(InputError, match=message):
-        plan(settings, own)
-
-
 def test_words_that_nothing_provides_are_refused():
     words = "depth, axes, normals, measured, neighbor, sky, matte, gaussians"
     with pytest.raises(ValueError, match=f"needs='depht' is none of {words}"):

@@ -282,11 +282,6 @@ def test_a_cull_kills_the_faint_and_leaves_the_others(setup):
             np.testing.assert_array_equal(new, np.where(faint.reshape(-1, *[1] * (old.ndim - 1)), 0, old))
 
 
-def test_only_terms_of_weight_are_active():
-    active = weigh_terms(Weights(dssim=0.0, alpha=0.0, entropy=0.1))
-    assert [(each.name, each.weight) for each in active] == [("l1", 0.8), ("entropy", 0.1)]
-
-
 def test_the_capacity_holds_every_view_with_headroom(setup):
     gaussians = cloud(ALIVE, capacity=CAPACITY, seed=1)
     needs = [int(jax.jit(rendering.needed_capacity)(gaussians, camera)) for camera in CAMERAS]
