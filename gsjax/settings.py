@@ -122,7 +122,7 @@ class Rates:
 class Density:
     """Clone, split, prune and reset, at a fixed budget of Gaussians."""
 
-    rule: str = "adc"  # who grows, a name of `gsjax.training.densification.rules.DENSIFICATION_RULES`
+    rule: str = "adc"  # a name of `gsjax.training.densification.rules.DENSIFICATION_RULES`
     start: int = 500
     stop: int = 15000
     every: int = 100

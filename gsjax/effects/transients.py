@@ -65,13 +65,13 @@ def make_effect(rate: optax.Schedule) -> Effect:
 
 
 def delay_densification(density: Density, steps: int) -> Density:
-    """Densification that waits until masks stand, and ends as much later (RobustSplat, Fu et al. 2025).
+    """Densification that starts once the masks have formed, and ends as much later (RobustSplat, Fu et al. 2025).
 
-    What grew before to show a stranger, close before the one camera that saw it, no other photo would take away again.
+    Earlier, Gaussians would densify in front of a camera to show a transient, and no other photo would remove them.
 
     Args:
-        density: As without masks.
-        steps: Of the phases in which Gaussians may multiply: what growth must end in.
+        density: Without masks.
+        steps: Of the phases that densify, in which densification ends.
     """
     wait = round(LATER * max(min(density.stop, steps) - density.start, 0))
     stop = max(density.stop, min(density.stop + wait, steps))

@@ -48,8 +48,7 @@ def image_cost(scale: int) -> float:
 def seconds_left(plan: Plan, step: int, phase: PlannedPhase, seconds_per_step: float) -> float:
     """Seconds for the steps after `step`, at the pace of the phase that runs.
 
-    The Gaussians still multiply where density control is on, so it is an early guess there; it is made anew when
-    each phase begins.
+    In a phase that densifies, steps become longer, so the number is a lower bound there. Each phase estimates anew.
     """
     unit = seconds_per_step / relative_cost(phase)
     return sum(max(each.end - max(step, each.begin), 0) * relative_cost(each) * unit for each in plan.phases)

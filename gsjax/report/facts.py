@@ -97,13 +97,11 @@ def what_was_decided(run: RunFacts) -> Rows:
 
 
 def _dropout(run: RunFacts) -> Rows:
-    """A row where steps leave Gaussians out; runs of earlier versions knew of no such thing."""
+    """A row where steps leave Gaussians out; plans of earlier versions have no such entry."""
     share = max((phase.get("dropout", 0.0) for phase in run.plan["phases"]), default=0.0)
     is_asked = bool(run.settings["schedule"].get("dropout", 0.0))
     reason = (
-        f"asked for: schedule.dropout={share:g}"
-        if is_asked
-        else "photos stand far apart, and would be learned by heart"
+        f"asked for: schedule.dropout={share:g}" if is_asked else "sparse-view regularization: few photos, or far apart"
     )
     return [("Left out of every step", f"{share:.0%} of the Gaussians", reason)] if share else []
 

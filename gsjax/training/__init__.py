@@ -1,1 +1,1 @@
-"""Gaussians from photos: the compiled step, the loop over the phases, losses, optimisers, density control."""
+"""Gaussians from photos: the compiled step, the loop over the phases, losses, optimisers, densification."""

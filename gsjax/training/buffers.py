@@ -1,8 +1,7 @@
 """Buffers that grow and shrink with the Gaussians: a step costs what is alive, not what the budget allows.
 
-Every per-Gaussian array has rows for the Gaussians of today and some to come, is lengthened before density control
-would run out of them, and shortened when none multiply any more and after a cull. A buffer of the whole budget would
-give the same numbers, bit for bit, and be slower.
+Every per-Gaussian array has free rows. It is lengthened before a densification would run out of them, and shortened
+after the last densification and after a cull. A buffer of the whole budget gives the same bits, and is slower.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Gaussians left out of single steps at random, so that few photos are not learned by heart."""
+"""Dropout of Gaussians: each step leaves some out at random, so that training on few photos overfits less."""
 
 from dataclasses import replace
 

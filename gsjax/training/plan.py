@@ -34,7 +34,7 @@ class PlannedPhase:
     end: int  # and after its last one
     scale: int  # photos are so many times smaller in each direction
     terms: tuple[Weighed, ...]  # of non-zero weight
-    rule: DensificationRule | None = None  # of density control; None: nobody multiplies
+    rule: DensificationRule | None = None  # of densification; None: none
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
     surface_every: int = 1  # one of so many steps has the dear terms
     surface_scale: int = 1  # photos of those steps are so many times smaller still
@@ -94,7 +94,7 @@ class Plan:
 
     @property
     def grown(self) -> int | None:
-        """How many phases have run when no Gaussians multiply any more; None where none comes then."""
+        """How many phases have run after the last one that densifies; None where it is the last of all."""
         last = max((count for count, phase in enumerate(self.phases, 1) if phase.rule), default=0)
         return last if last < len(self.phases) else None
 

@@ -25,7 +25,7 @@ class TrainState:
 
     gaussians: Gaussians
     opt_state: Any
-    statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.densification.rules`
+    statistics: Any  # [N] sums of the densification rule, see `gsjax.training.densification.rules`
     step: Array  # [] int32 steps done
     effects: EffectState | None = None  # of those that are simulated
     # What `gsjax.densify` reads; a run's loop knows both itself.

@@ -97,7 +97,7 @@ class _Free(NamedTuple):
     """What the objective is differentiated to; what is None is not."""
 
     gaussians: Gaussians
-    probe: Array | None  # of the rule of density control
+    probe: Array | None  # of the rule of densification
     numbers: dict[str, Any] | None  # of the effects
 
 

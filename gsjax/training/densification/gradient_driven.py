@@ -1,4 +1,4 @@
-"""Adaptive density control of 3DGS at a fixed capacity, under jit: clone, split, prune, reset, cull; and when.
+"""Densification of 3DGS at a fixed capacity, under jit: clone, split, prune, reset, cull; and when.
 
 A row of the buffers is dead when its log-odds of opacity are at `DEAD_LOGIT`: it draws nothing, has no gradient, and is
 free for a new Gaussian. When more Gaussians want to grow than rows are free, the largest gradients win.
@@ -24,7 +24,7 @@ LARGE_SHARE = 0.2  # Of `density.stop`: where nothing resets opacities, size pru
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class GradientStatistics:
-    """What decides who grows, summed since the last densification."""
+    """Sums since the last densification, which decide what is cloned or split."""
 
     gradient: Array  # [N] norms of the loss' gradient to the 2D mean, NDC units
     views: Array  # [N] times visible
@@ -113,7 +113,7 @@ def densify(
         density: Thresholds.
         extent: Camera extent, scene units.
         prune_large: Whether size prunes; may be traced.
-        count: Not used: who grows is a matter of gradients, and how many one of rows.
+        count: Not used: gradients decide which Gaussians, and free rows how many.
 
     Returns:
         The Gaussians and how rows moved, for the optimiser's moments.

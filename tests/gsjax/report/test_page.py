@@ -134,7 +134,7 @@ def test_the_page_tells_of_what_every_step_left_out(run):
     assert "Left out of every step" not in Page(report(run)).cells
     settings = config.parse(Settings, config.merge(PRESETS["fast"], {"schedule": {"dropout": 0.4}}))
     json_files.write(run / "plan.json", plan(settings).record())
-    far_apart = "photos stand far apart, and would be learned by heart"
+    far_apart = "sparse-view regularization: few photos, or far apart"
     assert Page(report(run)).cells["Left out of every step"] == ["40% of the Gaussians", far_apart]
     json_files.write(
         run / "config.json", config.merge(json_files.read(run / "config.json"), {"schedule": {"dropout": 0.4}})
