@@ -62,13 +62,13 @@ def _step(
     probe = PROBE / float(camera.K[0, 0])
     nearby = [_moved(camera, jnp.asarray(row), unit) for row in probe * np.eye(6, dtype=np.float32)]
 
-    def seen(difference: np.ndarray) -> np.ndarray:
+    def visible(difference: np.ndarray) -> np.ndarray:
         """The pixels that count, blurred as if the others did not differ."""
         sigma = blur * camera.width
         return ndimage.gaussian_filter(difference * valid[..., None], (sigma, sigma, 0), mode="nearest")[valid]
 
-    errors = seen(photo - picture.colors).reshape(-1)
-    slopes = np.stack([seen(other.colors - picture.colors).reshape(-1) for other in draw(nearby)], -1) / probe
+    errors = visible(photo - picture.colors).reshape(-1)
+    slopes = np.stack([visible(other.colors - picture.colors).reshape(-1) for other in draw(nearby)], -1) / probe
     size = np.abs(errors)
     spread = 1.4826 * float(np.median(size))
     weights = np.minimum(1.0, _OUTLIER * spread / np.maximum(size, 1e-12)) if spread > 0 else np.ones_like(size)

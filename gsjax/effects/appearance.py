@@ -1,4 +1,4 @@
-"""How each photo was taken, as far as tracks or training tell: where the effects start, and what became of them."""
+"""How each photo was taken, by tracks and by training: where the effects start, and what became of them."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class Appearance(NamedTuple):
 
 @dataclass(frozen=True)
 class Start:
-    """What tracks tell of V photos by C cameras, before any training."""
+    """What tracks imply of V photos by C cameras, before any training."""
 
     names: tuple[str, ...]  # of the photos
     trained: np.ndarray  # [V] bool: not held out
@@ -52,7 +52,7 @@ class Start:
 
 
 def start(seen: Observations, chosen: Collection[str], skies: Masks = MappingProxyType({})) -> Start:
-    """Where the chosen effects start; zero where tracks tell nothing.
+    """Where the chosen effects start; zero without tracks.
 
     The same robust fit as the evidence, of display-coded values, since those are what training compares. `skies` are
     where photos show sky.
@@ -109,7 +109,7 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
 
 
 def appearances(begun: Start, state: EffectState) -> dict[str, Appearance]:
-    """Of every photo, by name, after training: gains as learned, those of held-out photos as their tracks tell.
+    """Of every photo, by name, after training: gains as learned, those of held-out photos as their tracks imply.
 
     No pixel of a held-out photo has been used but its keypoints. Empty where nothing changes the light.
     """

@@ -30,7 +30,7 @@ _ONE_COLOR = 0.02  # standard deviation over the photos, and within them
 
 def judge(findings: "Findings") -> Evidence:
     """Judge whether light comes from no surface: much is bright, smooth and unmatched, and no wall explains it."""
-    seen, compared = findings.seen, findings.bare
+    seen, compared = findings.observations, findings.bare
     if any(facts.has_matte for facts in seen.facts):
         note = "mattes tell the object from what is behind it: --background random serves"
         return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, note)
@@ -76,7 +76,7 @@ def initial(seen: Observations, skies: Masks = MappingProxyType({})) -> np.ndarr
 
     Args:
         seen: The photos.
-        skies: Where they show sky; those that are looked at are read again.
+        skies: Where they show sky; those that are needed are read again.
     """
     if any(frame.name in skies and not frame.held_out for frame in seen.frames):
         return _seen_through(seen.frames, skies)

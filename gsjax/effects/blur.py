@@ -19,7 +19,7 @@ _SHOWN = 5
 
 def judge(findings: "Findings") -> Evidence:
     """Judge whether photos lack half of the median photo's sharpness, which the note names, or all lack resolution."""
-    seen = findings.seen
+    seen = findings.observations
     lost, blurred_by = _lost(seen), _lost_by_all(seen)
     blurred = np.flatnonzero(lost > THRESHOLD)
     names = [seen.frames[index].name for index in blurred[np.argsort(-lost[blurred])]]
@@ -47,8 +47,8 @@ def _lost_by_all(seen: Observations) -> float:
 def photos_to_leave_out(seen: Observations) -> tuple[str, ...]:
     """Names of the photos that are too blurred to be trained on and that nothing depends on.
 
-    Nine tenths of what was matched in such a photo must be seen by two sharper ones that are trained on; without tracks
-    nobody knows, and none is left out. Held-out photos are not trained on anyway, and are scored as they are.
+    Nine tenths of what was matched in such a photo must be seen by two sharper ones that are trained on. Without
+    tracks none is left out. Held-out photos are not trained on anyway, and are scored as they are.
     """
     trained = np.array([not frame.held_out for frame in seen.frames])
     blurred = trained & (_lost(seen) > DROP)

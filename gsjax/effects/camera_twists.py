@@ -1,4 +1,4 @@
-"""Small moves of cameras, and which of them no photo can tell: those of all cameras together with the world.
+"""Small moves of cameras, and which of them change no photo: those of all cameras together with the world.
 
 A twist is six numbers: a turn about the camera's centre (a rotation vector, radians) and a shift of that centre, both
 along the axes of the world. So a move of the whole world, to first order, gives every camera the same turn, and a shift

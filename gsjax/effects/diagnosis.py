@@ -1,4 +1,4 @@
-"""All effects looked for in one data set."""
+"""The evidence for every effect in one data set."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from gsjax.settings import EFFECTS
 class Findings(NamedTuple):
     """What photos and tracks show, for every effect to judge."""
 
-    seen: Observations
+    observations: Observations
     gains: exposure.Gains | None  # None: no point is seen in three photos
     steps: tuple[poses.Step | None, ...]  # a frame
     bare: parallax.Parallax | None  # of what is bright, smooth and unmatched
@@ -29,7 +29,7 @@ class Diagnosis:
     """What a scene says about every effect, and about every photo."""
 
     effects: dict[str, Evidence]
-    seen: Observations
+    observations: Observations
     gains: exposure.Gains | None
     steps: tuple[poses.Step | None, ...]  # a frame
     sky: Masks  # empty where the evidence is not on
@@ -43,17 +43,17 @@ class Diagnosis:
                 {
                     "name": frame.name,
                     "gains": None if self.gains is None else self.gains.fit.gains[index].tolist(),
-                    "sharpness": self.seen.facts[index].sharpness,
+                    "sharpness": self.observations.facts[index].sharpness,
                     "pose_step_px": None if (step := self.steps[index]) is None else step.shift,
                     "sky": float(self.sky[frame.name].mean()) if frame.name in self.sky else 0.0,
                 }
-                for index, frame in enumerate(self.seen.frames)
+                for index, frame in enumerate(self.observations.frames)
             ],
         }
 
 
 def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter) -> Diagnosis:
-    """Look for every effect.
+    """Judge every effect.
 
     Args:
         scene: A loaded data set; every photo is read once, and tracks where it has any.
@@ -79,7 +79,7 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
 def _parallax(
     seen: Observations, regions: Mapping[int, np.ndarray], gains: exposure.Gains | None
 ) -> parallax.Parallax | None:
-    """How plain regions compare between photos whose exposure is known from their tracks; None: it cannot be told."""
+    """How plain regions compare between photos whose exposure is known from their tracks; None: nothing to compare."""
     if not regions or not len(seen.points):
         return None
     stops = np.zeros((len(seen.frames), 3)) if gains is None else gains.fit.gains

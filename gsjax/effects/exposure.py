@@ -28,7 +28,7 @@ _FEWEST = 20  # observations of a photo in each half of the scene, to be compare
 
 
 class Gains(NamedTuple):
-    """What tracks tell of the photos' exposure."""
+    """What tracks imply of the photos' exposure."""
 
     data: Table  # log2 of linear light
     fit: Fit  # gains in EV, red, green, blue
@@ -58,7 +58,7 @@ def estimate(seen: Observations) -> Gains | None:
 
 def judge(findings: "Findings") -> Evidence:
     """On where photos differ by more than noise, alike all over the scene, and gains predict unseen points."""
-    seen, gains = findings.seen, findings.gains
+    seen, gains = findings.observations, findings.gains
     if gains is None:
         why = "no point is seen in three photos" if seen.tracked else "no tracks beside these photos"
         return unknown("EV", THRESHOLD, why)

@@ -1,4 +1,4 @@
-"""What the detectors look at: keypoints of the tracks with their colours, and a few numbers of every photo.
+"""What the effects are judged by: keypoints of the tracks with their colours, and a few numbers of every photo.
 
 Photos are read one by one and forgotten. Colours come from a slightly blurred photo, so that a keypoint that is off by
 part of a pixel does not matter.
@@ -22,7 +22,7 @@ SKY_BRIGHT, SKY_SMOOTH = 0.5, 0.02  # Of a pixel that may be sky: its luminance,
 SKY_CLEAR = 0.1  # of the width: nothing was matched nearer to it
 MOST_POINTS = 3000  # whose colours are looked at, and
 POINTS_PER_PHOTO = 40  # where there are many photos
-EVEN_GRID = 320  # most places along it where a photo is looked at for being even:
+EVEN_GRID = 320  # most places along it where a photo is tested for being even:
 EVEN_STEP = 0.06  # so far the places around it differ at most, in any channel
 LIGHT_GRID = 96  # most places along it whose mean colour is kept, and which are bare or not
 UNUSABLE, UNEVEN, EVEN = 0, 1, 2
@@ -73,7 +73,7 @@ class Observations:
 
 
 def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter) -> Observations:
-    """Look at every photo once.
+    """Read every photo once.
 
     Args:
         scene: A loaded data set.
@@ -216,7 +216,7 @@ def _sky(
 
 
 def even_stride(width: int, height: int) -> int:
-    """Pixels along the side of a place where a photo is looked at for being even."""
+    """Pixels along the side of a place where a photo is tested for being even."""
     return max(1, -(-max(width, height) // EVEN_GRID))
 
 

@@ -124,7 +124,7 @@ def _view(seen: Observations, index: int, region: np.ndarray, gain: np.ndarray) 
 
 
 def _partners(number: int, views: Sequence[_View]) -> list[int]:
-    """Which photos a photo is compared with: those that see the same directions from far beside it."""
+    """Which photos a photo is compared with: those that see the same directions from far next to it."""
     one, scores = views[number], {}
     for index, other in enumerate(views):
         share = np.isfinite(_differences(one, other, _places(other, one.rays))).any(-1).mean()

@@ -14,7 +14,7 @@ ROUNDS = 10  # of reweighting
 OUTLIER = 1.5  # standard deviations beyond which a residual counts linearly (Huber)
 SHORTEST_TRACK = 3
 SHARED = 10  # observations of a photo err alike, because neighbouring keypoints lie on one surface
-_PULL = 1e-3  # observations of gain zero that every photo has besides its own: decides where nothing else does
+_PULL = 1e-3  # observations of gain zero that every photo has in addition to its own: decides where nothing else does
 _GREY_AND_TINTS = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]).T / np.sqrt([3, 2, 6])  # orthonormal columns
 
 
@@ -54,7 +54,7 @@ def table(values: np.ndarray, photo: np.ndarray, point: np.ndarray, num_photos: 
 def fit(data: Table) -> Fit:
     """Gains of red, green and blue by iteratively reweighted least squares, drawn to the mean photo's by their noise.
 
-    A photo of few or doubtful observations has the gain of the mean photo rather than one that its tracks do not tell:
+    A photo of few or doubtful observations has the gain of the mean photo rather than one that its tracks do not imply:
     see `_drawn_to_mean`.
     """
     weights = np.ones(len(data.photo))
@@ -90,7 +90,7 @@ def _drawn_to_mean(data: Table, weights: np.ndarray, gains: np.ndarray, residual
 def project(values: np.ndarray, data: Table, weights: np.ndarray, pull: float = _PULL) -> tuple[np.ndarray, np.ndarray]:
     """Photo effects `[V, C]` of weighted least squares of any `[N, C]` values, and what both effects leave `[N, C]`.
 
-    `pull` is the number of observations of effect zero that every photo has besides its own.
+    `pull` is the number of observations of effect zero that every photo has in addition to its own.
     """
     shape = (int(data.point.max()) + 1, data.num_photos)
     seen = sparse.csr_matrix((weights, (data.point, data.photo)), shape)

@@ -108,7 +108,7 @@ def make_effect(
 ) -> Effect:
     """Every photo's camera is moved by its own twist, and every camera's focal length by a factor of 1 at the start.
 
-    What moves all cameras together with the world no photo can tell: it is taken off the twists as they are used
+    What moves all cameras together with the world changes no photo: it is taken off the twists as they are used
     (`gauge`), so the scene stays where the data set has it whatever an optimiser does. A common factor of all focal
     lengths shows in the photos, and stays.
 

@@ -1,4 +1,4 @@
-"""What training joins where a scene calls for an effect: its numbers, their rate, and where it stands in a picture.
+"""What training joins where a scene requires an effect: its numbers, their rate, and where it stands in a picture.
 
 A step without effects never hears of this: no argument, no state, no operation.
 """

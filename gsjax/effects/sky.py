@@ -43,7 +43,7 @@ Masks = Mapping[str, np.ndarray]
 
 
 def find(seen: Observations) -> Masks:
-    """Where the photos may show sky, or plaster; empty where they show neither, or cameras or points cannot tell."""
+    """Where the photos may show sky, or plaster; empty where they show neither, or cameras or points do not show it."""
     up = upwards(seen.frames)
     if up is None or not len(seen.points) or any(facts.has_matte for facts in seen.facts):
         return {}
@@ -88,7 +88,7 @@ def judge_masks(seen: Observations, masks: Masks, compared: Parallax | None = No
         note = "no sky" if not masks else f"no sky: {PLAIN}; even or clipped in all photos, so nothing compares"
         return Evidence(False, 0.0, unit, 1.0, THRESHOLD, note)
     value = score(compared)
-    note = told(masks, seen.frames) if value > THRESHOLD else f"no sky: {PLAIN}"
+    note = summary(masks, seen.frames) if value > THRESHOLD else f"no sky: {PLAIN}"
     note += f"; at a near surface x{compared.near:.2f}, a far one x{compared.far:.2f}, fixed to the photo"
     note += f" x{compared.fixed:.2f}; green over red {compared.blueness:.2f} EV, changing by {compared.blue_range:.2f}"
     return Evidence(value > THRESHOLD, value, unit, 1.0, THRESHOLD, note)
@@ -114,7 +114,7 @@ def regions(seen: Observations, masks: Masks) -> dict[int, np.ndarray]:
     return found
 
 
-def told(masks: Masks, frames: Sequence[Frame]) -> str:
+def summary(masks: Masks, frames: Sequence[Frame]) -> str:
     """One line: how many photos show sky, and how much of it."""
     if not masks:
         return "no sky"
@@ -207,7 +207,7 @@ def _regions(view: _View, typical: float) -> list[np.ndarray]:
 
 
 def _is_plain(region: np.ndarray, view: _View) -> bool:
-    """Whether a region alone tells that there is a sky."""
+    """Whether a region alone implies that there is a sky."""
     return region.sum() >= OPEN * view.usable.sum() and region[view.border].mean() >= OPEN_BORDER
 
 

@@ -76,7 +76,7 @@ def halves(seen: Observations, gains: Gains) -> list[tuple[float, float]]:
 
 def judge(findings: "Findings") -> Evidence:
     """Judge whether corners are darker, in all photos or in one half of them, by more than noise."""
-    seen, gains = findings.seen, findings.gains
+    seen, gains = findings.observations, findings.gains
     if gains is None:
         return unknown("EV", THRESHOLD, "needs points that three photos see")
     slope, error = corner(seen, gains)

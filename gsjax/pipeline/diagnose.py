@@ -108,7 +108,7 @@ def draw(found: Diagnosis, path: Path) -> Path:
     """
     figure = new_figure(18, 7.5)
     gains, corner, most_sky, bare, sharpness, skies = figure.subplots(2, 3).flat
-    photos = np.arange(len(found.seen.frames))
+    photos = np.arange(len(found.observations.frames))
     if found.gains is None:
         for axes in (gains, corner):
             axes.text(0.5, 0.5, "no tracks", ha="center", transform=axes.transAxes)
@@ -116,17 +116,17 @@ def draw(found: Diagnosis, path: Path) -> Path:
         for channel, color in enumerate(CHANNELS):
             gains.plot(photos, found.gains.fit.gains[:, channel], ".-", color=color, linewidth=0.8, label=color)
         gains.legend()
-        radii2, light, slope = vignetting.profile(found.seen, found.gains)
+        radii2, light, slope = vignetting.profile(found.observations, found.gains)
         corner.plot(np.sqrt(radii2), light, "k.")
         at = np.linspace(0, 1, 50)
         corner.plot(at, slope * at**2, "k", linewidth=0.8)
-    bare.bar(photos, [100 * facts.sky_share for facts in found.seen.facts])
-    sharp = np.array([facts.sharpness for facts in found.seen.facts])
+    bare.bar(photos, [100 * facts.sky_share for facts in found.observations.facts])
+    sharp = np.array([facts.sharpness for facts in found.observations.facts])
     sharpness.bar(photos, sharp / max(float(np.median(sharp)), 1e-12))
     sharpness.axhline(1 - found.effects["blur"].threshold, color="red", linewidth=0.8)
-    shares = [found.sky[frame.name].mean() if frame.name in found.sky else 0.0 for frame in found.seen.frames]
+    shares = [found.sky[frame.name].mean() if frame.name in found.sky else 0.0 for frame in found.observations.frames]
     skies.bar(photos, [100 * share for share in shares])
-    frame = found.seen.frames[int(np.argmax(shares))]
+    frame = found.observations.frames[int(np.argmax(shares))]
     most_sky.imshow(sky.tinted(frame.pixels().image, found.sky.get(frame.name)))
     most_sky.set_axis_off()
     titles = {

@@ -64,7 +64,7 @@ def look_for_effects(asked: str, scene: Scene) -> Looked:
         return Looked(scene)
     found = diagnose_scene(scene)
     is_asked = asked == AUTO or "blur" in named_effects(asked)
-    names = blur.photos_to_leave_out(found.seen) if is_asked else ()
+    names = blur.photos_to_leave_out(found.observations) if is_asked else ()
     if not names:
         return Looked(scene, found)
     print(f"train: too blurred, left out: {', '.join(names)}", file=sys.stderr)
@@ -159,7 +159,7 @@ def choose_effects(
         wanted.add("background")
     chosen = [name for name in SIMULATED if name in wanted]
     if skies:
-        print(f"train: {sky.told(skies, scene.frames)}", file=sys.stderr)
+        print(f"train: {sky.summary(skies, scene.frames)}", file=sys.stderr)
     elif with_sky:
         raise InputError(f"--sky: the photos of {scene.root} show no sky; --sky DIR takes masks of it")
     simulated = [*chosen, *(["sky"] if skies else [])]
@@ -172,12 +172,12 @@ def choose_effects(
     }
     if not chosen:
         return ChosenEffects(skies=skies, evidence=evidence)
-    if "background" in chosen and any(facts.has_matte for facts in found.seen.facts):
+    if "background" in chosen and any(facts.has_matte for facts in found.observations.facts):
         raise InputError(
             f"--effects {asked}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
             " leave background out"
         )
-    begun = start(found.seen, chosen, skies)
+    begun = start(found.observations, chosen, skies)
     return ChosenEffects(simulations(begun, chosen, _rate(plan)), begun, evidence, skies)
 
 
@@ -195,7 +195,7 @@ def _decided(
     if before is not None:
         stored = before.get("validated", {})
         return {*before["simulated"]}, {name: Validated(**each) for name, each in stored.items()}
-    validated = validate(found.seen, proposed, found.sky) if validate and proposed else {}
+    validated = validate(found.observations, proposed, found.sky) if validate and proposed else {}
     if not validated:
         return {name for name in proposed if name in UNVALIDATED and _is_strong(found.effects[name])}, {}
     passed = [name for name, each in validated.items() if each.passes]
@@ -237,8 +237,8 @@ def _line(found: Diagnosis, simulated: Sequence[str], validated: Mapping[str, Va
 
 def _with_given(found: Diagnosis, skies: sky.Masks) -> Diagnosis:
     """The diagnosis with a sky that was given instead of what the photos show."""
-    evidence = sky.judge_masks(found.seen, skies)
-    given = evidence._replace(on=True, note=f"given by --sky: {sky.told(skies, found.seen.frames)}")
+    evidence = sky.judge_masks(found.observations, skies)
+    given = evidence._replace(on=True, note=f"given by --sky: {sky.summary(skies, found.observations.frames)}")
     return replace(found, sky=skies, effects=found.effects | {"sky": given})
 
 
@@ -246,8 +246,8 @@ def _is_laid(found: Diagnosis, plan: Plan, light: Collection[str]) -> bool:
     """Whether what looks like sky is the colour that the run lays under its renders, seen through effects on light."""
     if plan.background not in _PLAIN:
         return False
-    reached = light_range(start(found.seen, light), found.seen.frames, light)
-    return background.is_one(found.seen, _PLAIN[plan.background], *reached)
+    reached = light_range(start(found.observations, light), found.observations.frames, light)
+    return background.is_one(found.observations, _PLAIN[plan.background], *reached)
 
 
 def _laid(evidence: Evidence, plan: Plan) -> Evidence:

@@ -7,7 +7,8 @@ import pytest
 from photographed_wall import wall
 from scipy import ndimage
 
-from gsjax.effects.blur import judge, photos_to_leave_out
+from gsjax.effects.blur import photos_to_leave_out
+from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.observations import edge_width, observe
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import look_for_effects
@@ -34,10 +35,10 @@ def with_tracks(scene, kept):
 
 
 def test_a_blurred_photo_is_named():
-    found = judge(observe(blurred(4)))
+    found = diagnose(blurred(4)).effects["blur"]
     assert found.on
     assert found.note == "blurred: 04.png; 1 by more than 70 %, training leaves 1 out"
-    assert not judge(observe(blurred())).on
+    assert not diagnose(blurred()).effects["blur"].on
 
 
 def test_photos_are_left_out_where_others_see_what_they_see():
@@ -76,7 +77,7 @@ def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effe
     assert looked.left_out == expected
     names = tuple(frame.name for frame in scene.frames if frame.name not in expected)
     assert tuple(frame.name for frame in looked.scene.frames) == names
-    assert tuple(frame.name for frame in looked.found.seen.frames) == names
+    assert tuple(frame.name for frame in looked.found.observations.frames) == names
     assert looked.found.effects["blur"].note.startswith("blurred: 04.png"), "told of the whole scene"
     assert ("left out: 04.png\n" in capsys.readouterr().err) == bool(expected)
 
@@ -103,11 +104,11 @@ def test_an_ideal_edge_under_a_blur_is_so_wide(sigma, width):
 def test_photos_that_are_all_blurred_are_named_and_sharp_ones_are_not(shared, name):
     scene = load_scene(shared / "data" / name)
     scene = replace(scene, frames=scene.frames[::4])
-    assert not judge(observe(scene)).on
+    assert not diagnose(scene).effects["blur"].on
 
     def soft(frame):
         image = ndimage.gaussian_filter(frame.pixels().image, (2, 2, 0))
         return with_pixels(frame, frame.pixels()._replace(image=image))
 
-    found = judge(observe(replace(scene, frames=tuple(map(soft, scene.frames)))))
+    found = diagnose(replace(scene, frames=tuple(map(soft, scene.frames)))).effects["blur"]
     assert found.on and "all photos are blurred" in found.note
