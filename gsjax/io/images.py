@@ -30,6 +30,7 @@ _JPEG_END = b"\xff\xd9"
 _TAIL = 4096  # bytes, more than the last rows of blocks take
 _SMALLEST = 8, 8  # pixels: a JPEG is decoded at an eighth of its size where its pixels are not wanted
 _JPEG_QUALITY = 95
+_LONGEST_SIDE = 1_000_000  # pixels: Pillow fails on far longer ones, which only a damaged header has
 _LABELS = 32  # A mask that is darker tells things apart by number.
 _OPENING = threading.Lock()
 _DECODED, _DECODED_DEEP = 14, 40  # bytes a pixel, most at a time: Pillow's copies, at four each, and ours
@@ -171,6 +172,9 @@ def open_image(path: str | Path) -> Iterator[Any]:
         with decoding(path):
             picture = _open(Path(path))
         with picture:
+            if max(picture.size) > _LONGEST_SIDE:
+                width, height = picture.size
+                raise InputError(f"{path}: {width}x{height} pixels by its header, which is damaged")
             yield picture
 
 

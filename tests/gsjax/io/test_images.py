@@ -178,6 +178,17 @@ def test_heic_is_read_by_its_bytes_whatever_its_name(tmp_path, name):
     assert np.abs(read_image(tmp_path / name)[0].astype(int) - smooth).max() <= 4
 
 
+def test_a_side_of_millions_of_pixels_is_a_damaged_header(tmp_path):
+    file = tmp_path / "a.bmp"
+    Image.fromarray(np.zeros((9, 12, 3), np.uint8)).save(file)
+    data = bytearray(file.read_bytes())
+    data[18:22] = (134_217_740).to_bytes(4, "little")
+    file.write_bytes(data)
+    for read in (image_size, read_image):
+        with pytest.raises(InputError, match="a.bmp: 134217740x9 pixels by its header, which is damaged"):
+            read(file)
+
+
 def test_photos_are_held_to_memory_and_not_to_a_fixed_number_of_pixels(tmp_path, monkeypatch):
     """Pillow refuses twice its limit, 179 megapixels: here as much more than a limit that is lowered."""
     cv2.imwrite(str(tmp_path / "panorama.png"), noise(30, 40, 3))
