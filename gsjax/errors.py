@@ -23,7 +23,7 @@ class InputError(ValueError):
 
 
 class NoSurfaceError(InputError):
-    """No surface where one is looked for, as of a poor run: no file is damaged, and other figures can still be told."""
+    """No surface where one is expected, as of a poor run: no file is damaged, other figures remain."""
 
 
 def is_out_of_memory(error: BaseException) -> bool:

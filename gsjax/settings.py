@@ -38,7 +38,7 @@ PLAIN = MappingProxyType({"l1": 0.8, "dssim": 0.2, "alpha": 0.1})
 
 
 class Weights(Mapping[str, float]):
-    """Weights of the loss terms by name: those of `PLAIN`, and what is named beside them; hashable.
+    """Weights of the loss terms by name: those of `PLAIN`, and what is named in addition; hashable.
 
     The names are those of `gsjax.training.terms.TERMS` and of the terms that a run is handed; `gsjax.training.plan`
     checks them. A term of weight 0 is not in the compiled program.
@@ -219,7 +219,7 @@ class Photos:
 
 @dataclass(frozen=True)
 class Supervision:
-    """What a run compares with beside the photos: maps of normals and of measured depth."""
+    """What a run compares with in addition to the photos: maps of normals and of measured depth."""
 
     normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: determined from the rendered depth

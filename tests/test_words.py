@@ -14,12 +14,14 @@ CHECKED = (
     *(f"docs/{page}.md" for page in ("api", "contributing", "differentiation", "own_loop", "tasks/share")),
     "experiments",
     "rasterizer",
-    *(f"gsjax/{part}" for part in ("analytic", "binding", "cli", "config.py", "effects", "gaussians.py", "io")),
     *(
         f"gsjax/{part}"
-        for part in ("meshing", "metrics", "networks", "numerics.py", "report", "runs", "scene", "sharing")
+        for part in (
+            *("analytic", "binding", "cli", "config.py", "effects", "errors.py", "gaussians.py", "io", "meshing"),
+            *("metrics", "networks", "numerics.py", "planning", "presets.py", "rendering", "report", "runs", "scene"),
+            *("settings.py", "sharing", "stereo", "training", "viewer"),
+        )
     ),
-    *(f"gsjax/{part}" for part in ("stereo", "viewer")),
 )
 """Folders and files whose docstrings, pages and help texts have no word of `WORDS`, and no name of `PARTICIPLES`."""
 

@@ -187,7 +187,7 @@ def _outside(
     box: Sequence[float] | None,
     sphere: Sequence[float] | None,
 ) -> np.ndarray:
-    """`[N]` bool: whose means lie outside what is asked for."""
+    """`[N]` bool: whose means lie outside the region."""
     means = np.asarray(whole.means, np.float64)
     outside = np.zeros(len(means), bool)
     if box is not None:
@@ -209,13 +209,13 @@ def _picture(result: Result, taken: np.ndarray, out: Path) -> str:
     """Before, after and what was taken out, from the view where that shows most."""
     cameras = _cameras(result)
 
-    def drawn(hidden: np.ndarray, views: Sequence[Camera]) -> list[np.ndarray]:
+    def rendered(hidden: np.ndarray, views: Sequence[Camera]) -> list[np.ndarray]:
         seen = _hidden(result.gaussians, hidden)
         return [picture.colors for picture in gallery.pictures(seen, views, result.background, "plane")]
 
-    before, after = drawn(np.zeros(len(taken), bool), cameras), drawn(taken, cameras)
+    before, after = rendered(np.zeros(len(taken), bool), cameras), rendered(taken, cameras)
     most = int(np.argmax([np.abs(a - b).mean() for a, b in zip(before, after, strict=True)]))
-    (alone,) = drawn(~taken, [cameras[most]])
+    (alone,) = rendered(~taken, [cameras[most]])
     panels = {"before": before[most], "after": after[most], "taken out": alone}
     return str(
         draw_panels({title: to_bytes(each) for title, each in panels.items()}, Path(f"{out}.cleaned.png"), columns=3)

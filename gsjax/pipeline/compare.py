@@ -64,7 +64,7 @@ def compare(folders: Iterable[str | Path], out: str | Path) -> Path:
 def pooled_by_seed(found: Sequence[RunFacts]) -> dict[str, list[RunFacts]]:
     """Runs by a label: those of one data set whose settings are the same but for the seed lie together.
 
-    The label is the first run's folder; with as much of its path as tells it from the others'.
+    The label is the first run's folder; with as much of its path as differs from the others'.
     """
     pools: dict[tuple, list[RunFacts]] = {}
     for run in found:
@@ -87,14 +87,14 @@ def differences(pools: Mapping[str, Sequence[RunFacts]]) -> dict[str, list[str]]
 def scores(pools: Mapping[str, Sequence[RunFacts]]) -> dict[str, list[str]]:
     """Quantity -> in each pool its value, of seeds that differ the mean, least, most; a dash where a run lacks it."""
 
-    def told(pool: Sequence[RunFacts], name: str) -> str:
+    def text_of(pool: Sequence[RunFacts], name: str) -> str:
         values = [run.manifest.get(name) for run in pool]
         if None in values:
             return "-"
         mean, least, most = (tables.format_value(of(values)) for of in (fmean, min, max))
         return mean if least == most else f"{mean} [{least} {most}]"
 
-    table: dict[str, Any] = {name: [told(pool, name) for pool in pools.values()] for name in MEASURED}
+    table: dict[str, Any] = {name: [text_of(pool, name) for pool in pools.values()] for name in MEASURED}
     return {name: row for name, row in table.items() if set(row) != {"-"}}
 
 

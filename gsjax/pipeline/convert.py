@@ -25,7 +25,7 @@ def convert(
     crop: Sequence[float] | None = None,
     min_opacity: float | None = None,
 ) -> dict[str, Any]:
-    """Read Gaussians, keep what is wanted, write them; both formats as the suffixes tell.
+    """Read Gaussians, keep what is wanted, write them; both formats by the suffixes.
 
     Args:
         source: .ply, .compressed.ply, .sog or .spz; a run folder stands for its gaussians.ply.

@@ -28,9 +28,9 @@ def diagnose(
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
-        json: File for what is returned; pictures of it go beside it, with the suffix .png. None: nothing is written.
-        downscale: Look at photos so many times smaller.
-        images: Folder of the photos, absolute or in `scene`. None: looked for.
+        json: File for what is returned; pictures of it go next to it, with the suffix .png. None: nothing is written.
+        downscale: Read photos so many times smaller.
+        images: Folder of the photos, absolute or in `scene`. None: searched for.
 
     Returns:
         `effects`: by name `on`, `evidence` (None: unknown), `unit`, `noise`, `threshold`, `note`;
@@ -80,7 +80,7 @@ def normals_rows(record: dict[str, Any]) -> list[list[str]]:
 def apart(scene: Scene) -> dict[str, Any]:
     """How many `photos` are trained on, `degrees` between them, and whether validation runs decide (`tried`).
 
-    Degrees are those of `gsjax.planning.sparse_views.angle_between_photos`, None where no tracks tell.
+    Degrees are those of `gsjax.planning.sparse_views.angle_between_photos`, None without tracks.
 
     Raises:
         InputError: The tracks cannot be read, or name points that the scene does not have.

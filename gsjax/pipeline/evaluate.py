@@ -1,4 +1,4 @@
-"""Scores of a run: held-out images, and geometry wherever there is truth beside the images."""
+"""Scores of a run: held-out images, and geometry wherever there is truth with the images."""
 
 import sys
 from collections.abc import Sequence
@@ -52,10 +52,10 @@ def evaluate(
         scene_folder: Where the data set is, if it was moved since the training. None: where it was.
 
     Returns:
-        What `score_images` tells of the held-out views and what the files of weights allow, at least `lpips_vgg_3dgs`
+        What `score_images` reports of the held-out views and what the files of weights allow, at least `lpips_vgg_3dgs`
         (None without held-out views or without weights), `gaussians`, `train_seconds`, `steps`; for every zoom
         `psnr_zoom_0.5` and `ssim_zoom_0.5` (with that number); of a `mesh` what
-        `gsjax.metrics.mesh_photos.score_appearance` tells; with true normals `normal_error_deg` and
+        `gsjax.metrics.mesh_photos.score_appearance` reports; with true normals `normal_error_deg` and
         `normal_error_median_deg` of the rendered depth over object pixels and `normal_error_all_deg` over all surface
         pixels; with true depth `depth_error` (mean absolute, object pixels, scene units), both in held-out views; with
         true surface points what `score_mesh` returns, the same errors of the mesh's own depth as

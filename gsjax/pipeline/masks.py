@@ -38,10 +38,10 @@ def masks(
         network: A name of `gsjax.networks.records.MASK_NETWORKS`, or a JSON file with a record of one's own.
         weights: The network as an ONNX file.
         out: Folder to make, absent or empty; appears when everything is done. None: `masks` in `photos`, where the
-            other commands look for it.
-        classes: What to leave out, of the record's classes. None: the only one beside the background.
+            other commands search for it.
+        classes: What to leave out, of the record's classes. None: the only one but the background.
         invert: Leave out everything else instead.
-        images: Of a data set, the folder of the photos, absolute or in `photos`. None: looked for.
+        images: Of a data set, the folder of the photos, absolute or in `photos`. None: searched for.
 
     Returns:
         `masks`: how many; `classes`; `left_out`: mean share of pixels that are 0; `photos_without`: how many show none

@@ -62,8 +62,8 @@ def mesh(
 ) -> dict[str, Any]:
     """Extract the mesh of a run, or of any file of Gaussians.
 
-    The surface is looked at, and its colours are taken, only where the photos are not masked. Where the training photos
-    are at hand it then settles on them (`gsjax.meshing.photo_refine`).
+    The surface is seen, and its colours are taken, only where the photos are not masked. Where the training photos
+    are at hand its vertices are then refined on them (`gsjax.meshing.photo_refine`).
 
     Args:
         source: Run folder or .ply.

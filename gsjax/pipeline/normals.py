@@ -49,7 +49,7 @@ def normals(
             is the name, or the file's without its suffix.
         downscale: Frames are this many times smaller, at least 1. None: their longer side becomes 1,600 pixels where
             it is longer, as in training.
-        images: Folder of the photos, absolute or in `scene`. None: looked for.
+        images: Folder of the photos, absolute or in `scene`. None: searched for.
 
     Returns:
         `maps`, and `made`: how many there are, and how many of them are new; `known`: mean share of pixels that have a
@@ -59,7 +59,7 @@ def normals(
 
     Raises:
         InputError: The data set, the record, the weights or the folder cannot be used. Maps that were whole by then
-            stay, and the next run goes on with the rest.
+            stay, and the next run continues with the rest.
     """
     name, record = read_network(network)
     is_depth = isinstance(record, DepthNetwork)
@@ -163,5 +163,5 @@ def _fits(maps: Mapping[str, Any], frames: tuple[Frame, ...]) -> dict[str, str]:
 
 
 def _camera(frame: Frame) -> list[float]:
-    """What of a frame decides its map, besides the photo: its size and intrinsics."""
+    """What of a frame decides its map, in addition to the photo: its size and intrinsics."""
     return [frame.width, frame.height, *(round(float(k), 4) for k in frame.K.reshape(-1))]

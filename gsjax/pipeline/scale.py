@@ -34,7 +34,7 @@ def scale(source: str | Path, between: Sequence[Pixel], metres: float | None = N
 
     Returns:
         `distance` before; `unit` of it, "metre" or "scene unit"; `factor`, what all lengths were multiplied by, None
-        where nothing was changed: nothing was asked for, or it is in metres and so long already.
+        where nothing was changed: no change was requested, or it is in metres and so long already.
 
     Raises:
         InputError: There is no such photo or pixel, nothing is seen there, or the source cannot be read or written.

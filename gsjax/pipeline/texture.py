@@ -28,8 +28,8 @@ def texture(
     Args:
         source: Run folder, or a file of Gaussians.
         mesh: .ply, .obj or .glb in the same coordinates.
-        out: .glb, .usdz, or .obj with .mtl and .png beside it.
-        size: Side of the texture, texels. None: as many as the photos tell apart, 4096 at most
+        out: .glb, .usdz, or .obj with .mtl and .png next to it.
+        size: Side of the texture, texels. None: as many as the photos resolve, 4096 at most
             (`gsjax.meshing.texture`).
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
 

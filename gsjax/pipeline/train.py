@@ -66,14 +66,14 @@ def train(
         out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
         settings: The run, or a table of it such as `gsjax.presets.PRESETS["quick"]`. A phase gives terms of the loss
             their weights by name.
-        terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place:
+        terms: The run's own loss terms by name, in addition to those of `gsjax.training.terms.TERMS` or in their place:
             functions of (Gaussians, View, Batch), or a `Term` that says what such a function needs.
         densification: The run's own rule of densification, in place of the one that `density.rule` names.
-        effects: The run's own effects by name, simulated beside those that `effects.names` chooses.
+        effects: The run's own effects by name, simulated in addition to those that `effects.names` chooses.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
         warm_start: Another run folder, of the same settings until the phases part. Training starts at its last
             checkpoint before that, so what both have in common is trained once. None: at the first step.
-        observe: Called after every step, before its checkpoint is written. On a GPU it is called for several at once,
+        observe: Called after every step, before its checkpoint is written. On a GPU it is called once for several,
             and the state is that of the very step only where figures are logged, a checkpoint is written or a phase
             ends.
         devices: How many share the views of a step, or "all"; `settings.views_per_step` is a multiple of them.

@@ -29,7 +29,7 @@ def undistort(
             split and points: `images/` (JPEG at quality 95 where the photo is one or HEIC, else PNG; with the matte as
             alpha), `masks/` where not every pixel is valid, `sparse/0` with PINHOLE cameras, `hold_out.txt`.
         downscale: Frames are this many times smaller, at least 1.
-        images: Folder of the photos, absolute or in `scene`. None: looked for.
+        images: Folder of the photos, absolute or in `scene`. None: searched for.
 
     Returns:
         `images`, `held_out`, `masks`: how many; `points`.

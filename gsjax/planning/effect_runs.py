@@ -51,7 +51,7 @@ class EffectRuns:
     extent: float  # camera extent, scene units
     initial: Initial
     proposed: Sequence[str]
-    seen: Observations  # of these frames, outside of their held-out pixels
+    observations: Observations  # of these frames, outside of their held-out pixels
     frames: Sequence[Frame]
     held_out: Sequence[np.ndarray]  # [H, W] bool a frame
     skies: sky.Masks  # where photos show sky
@@ -62,7 +62,7 @@ class EffectRuns:
         The run has the photometric loss alone and no densification.
         """
         program = self._with_sky if "sky" in names else self._without_sky
-        begun = start(self.seen, names, program.skies)
+        begun = start(self.observations, names, program.skies)
         on = simulations(begun, names, _rate)
         state = self.initial(self.settings, program.variant.optimizer, program.effects, program.skies)
         if state.effects is not None:
@@ -97,7 +97,7 @@ class EffectRuns:
     def _program(self, names: Sequence[str], skies: sky.Masks) -> _Program:
         planned = replace(plan(self.settings), sky_weight=self.sky_weight).with_effects(names)
         optimizer = optimizers.make_optimizer(planned.rates, self.extent, planned.steps)
-        effects = simulations(start(self.seen, names, skies), names, _rate)
+        effects = simulations(start(self.observations, names, skies), names, _rate)
         effects = {name: switchable(effect) for name, effect in effects.items()}
         return _Program(Variant(planned, optimizer, self.extent, effects, skies), effects, skies)
 

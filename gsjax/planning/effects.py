@@ -1,4 +1,4 @@
-"""Which effects a run simulates, and what it tells of each photo and its camera afterwards."""
+"""Which effects a run simulates, and what it reports of each photo and its camera afterwards."""
 
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -50,7 +50,7 @@ class Looked(NamedTuple):
     """A data set without the photos that are too blurred to be trained on."""
 
     scene: Scene
-    found: Diagnosis | None = None  # of its photos; None: nobody looked
+    diagnosis: Diagnosis | None = None  # of its photos; None: none was made
     left_out: tuple[str, ...] = ()  # names
 
 
@@ -78,13 +78,13 @@ class ChosenEffects:
     """The effects of a run."""
 
     effects: Effects = field(default_factory=dict)
-    begun: Start | None = None  # None: of no effects
+    initial: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
     skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the run knows of one
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the plan is told of, see `gsjax.training.plan.Plan.with_effects`."""
+        """What the plan takes, see `gsjax.training.plan.Plan.with_effects`."""
         return (*self.effects, *(("sky",) if self.skies else ()))
 
     def with_own(self, effects: Effects) -> "ChosenEffects":
@@ -100,12 +100,12 @@ class ChosenEffects:
 
     def photo_effects(self, state: EffectState | None) -> PhotoEffects:
         """What the state says of the photos."""
-        if state is None or self.begun is None:
+        if state is None or self.initial is None:
             return PhotoEffects()
         behind = state.numbers.get("background")
         return PhotoEffects(
-            appearances(self.begun, state),
-            moves(self.begun, state),
+            appearances(self.initial, state),
+            moves(self.initial, state),
             None if behind is None else np.asarray(behind),
         )
 
@@ -131,16 +131,16 @@ def choose_effects(
             alone are simulated, on strong evidence.
         looked: What `look_for_effects` found, if it was asked.
         skies: Where photos show sky, if masks of it were given; with it a background is taken in.
-        with_sky: Whether a sky is looked for whatever else is asked for, and must be found.
+        with_sky: Whether a sky must be there, whatever `asked` names.
         before: The manifest's record of what was decided when this run began; nothing is validated again.
 
     Raises:
-        InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
+        InputError: A photo or the tracks cannot be read, or a background is requested behind mattes.
     """
     if asked == NONE and skies is None and not with_sky:
         return ChosenEffects()
     looked = looked or look_for_effects(asked, scene)
-    scene, found = looked.scene, looked.found or diagnose_scene(looked.scene)
+    scene, found = looked.scene, looked.diagnosis or diagnose_scene(looked.scene)
     if skies is not None:
         found = _with_given(found, skies)
     is_auto, with_sky = asked == AUTO, with_sky or "sky" in named_effects(asked)
@@ -223,15 +223,15 @@ def _noted(
 def _line(found: Diagnosis, simulated: Sequence[str], validated: Mapping[str, Validated]) -> str:
     """Which effects are simulated and which of the proposed ones are not, each with its validated gain."""
 
-    def told(name: str) -> str:
+    def text_of(name: str) -> str:
         return f"{name} ({validated[name]})" if name in validated else name
 
     rejected = [
-        told(name)
+        text_of(name)
         for name in PROPOSED
         if name not in simulated and (name in validated or found.effects[name].note.startswith("not simulated"))
     ]
-    line = f"effects: {', '.join(map(told, simulated)) or 'none that the photos show'}"
+    line = f"effects: {', '.join(map(text_of, simulated)) or 'none that the photos show'}"
     return f"{line}; not simulated: {', '.join(rejected)}" if rejected else line
 
 
@@ -257,7 +257,7 @@ def _laid(evidence: Evidence, plan: Plan) -> Evidence:
 
 
 def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:
-    """Gains of all photos as their tracks tell them, no fall-off: to score a scene that took nothing in.
+    """Gains of all photos as their tracks imply them, no fall-off: to score a scene that took nothing in.
 
     Raises:
         InputError: A photo or the tracks cannot be read.

@@ -1,4 +1,4 @@
-"""Measured depth in a scene's own units: what one metre is there, told by the points of structure from motion."""
+"""Measured depth in a scene's own units: what one metre is there, by the points of structure from motion."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple

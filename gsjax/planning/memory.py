@@ -31,14 +31,14 @@ class Fitted(NamedTuple):
 def fit_to_memory(planned: Plan, frames: Sequence[Frame], folder: Path, *, may_lower: bool) -> Fitted:
     """The run as this machine's memory bears it.
 
-    Photos and maps that do not fit beside the Gaussians lie on the disk, from where each step reads its own: the
-    numbers are the same. Where the Gaussians alone do not fit, fewer may grow. A GPU's own memory is not looked at.
+    Photos and maps that do not fit next to the Gaussians lie on the disk, from where each step reads its own: the
+    numbers are the same. Where the Gaussians alone do not fit, fewer may grow. A GPU's own memory is not considered.
 
     Args:
         planned: The run.
         frames: Its photos.
         folder: On the disk that photos may lie on.
-        may_lower: Whether fewer Gaussians than planned may be the way: not of a run that goes on.
+        may_lower: Whether fewer Gaussians than planned may be the way: not of a run that is resumed.
     """
     rows = planned.max_gaussians if computes_on_cpu() else 0
     free = free_memory()
@@ -73,7 +73,7 @@ def keep_photos(
 
 
 def photo_bytes(planned: Plan, frames: Sequence[Frame]) -> int:
-    """What photos, their smaller copies and maps take in the phase that holds most of them."""
+    """Bytes of photos, their smaller copies and maps in the phase that holds most of them."""
     pixels = plain_bytes(frames)
     plain = sum(frame.width * frame.height for frame in frames)
 

@@ -1,4 +1,7 @@
-"""The pieces that a run was handed beside its settings: the manifest names them, and a resumed run needs them again."""
+"""The pieces that a run was handed in addition to its settings.
+
+The manifest names them, and a resumed run needs them again.
+"""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,4 @@
-"""What a training is asked for, its data set, and what its steps read: photos, priors and effects."""
+"""What a training is to do, its data set, and what its steps read: photos, priors and effects."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -42,7 +42,7 @@ from gsjax.training.terms import Term
 
 @dataclass(frozen=True)
 class Asked:
-    """What a run is asked for, and the run that it continues."""
+    """What a run is to do, and the run that it continues."""
 
     scene: str | Path
     out: Path

@@ -1,4 +1,4 @@
-"""At what size a run looks at its photos: chosen and said, not asked."""
+"""The size at which a run reads its photos: chosen and printed."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ def at_size(
     *,
     run: Run | None = None,
 ) -> tuple[Scene, float, str]:
-    """The data set at the size that a run looks at, how many times smaller that is, and the line that says it.
+    """The data set at the size that a run reads, how many times smaller that is, and the line that says it.
 
     Args:
         scene: Folder of the data set.

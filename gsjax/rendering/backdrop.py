@@ -29,7 +29,7 @@ def color_behind(background: Array, camera: Camera) -> Array:
 def fitted_coefficients(directions: np.ndarray, colors: np.ndarray, degree: int, ridge: float = 1e-3) -> np.ndarray:
     """`[(degree + 1)^2, 3]` float32 coefficients that come nearest to colours `[R, 3]` seen along `[R, 3]` directions.
 
-    Where no direction tells, they stay at the mean colour: all but the first weigh `ridge` of their squares.
+    Without a direction they stay at the mean colour: all but the first weigh `ridge` of their squares.
     """
     count = (degree + 1) ** 2
     one_by_one = jnp.eye(count, dtype=jnp.float32)[None]

@@ -56,7 +56,7 @@ def mask_pictures(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None
     """The same pictures with nothing in them, in colour, depth, coverage and owners, where their photos say nothing.
 
     Args:
-        pictures: One a view; looked at one by one, as `valid` is.
+        pictures: One a view; read one by one, as `valid` is.
         valid: `[H, W]` bool a view, False where its photo must not be used; None: it may be everywhere.
     """
     for picture, usable in zip(pictures, valid, strict=True):

@@ -99,7 +99,7 @@ def are_floaters(gaussians: Gaussians, views: Iterable[CoarseDepth]) -> np.ndarr
 
     Args:
         gaussians: N of them; what is not finite is no floater.
-        views: Depths that these Gaussians show, see `gsjax.rendering.coarse_depths`; looked at one by one.
+        views: Depths that these Gaussians show, see `gsjax.rendering.coarse_depths`; read one by one.
 
     Returns:
         `[N]` bool, numpy.

@@ -1,4 +1,4 @@
-"""The splats of one view: Gaussians of any kind, projected and binned once for as many passes as are asked for."""
+"""The splats of one view: Gaussians of any kind, projected and binned once for as many passes as are needed."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Gaussians and a camera to one view: colours over a background, coverage, depth and what else is asked for."""
+"""Gaussians and a camera to one view: colours over a background, coverage, depth and what else is requested."""
 
 from typing import Any, NamedTuple
 
@@ -24,7 +24,7 @@ class Neighbor(NamedTuple):
 
 
 class View(NamedTuple):
-    """What one view shows. `depth` is None where it was not asked for."""
+    """What one view shows. `depth` is None where it was not requested."""
 
     colors: Array  # [H, W, 3] over the background, not clamped
     alphas: Array  # [H, W] coverage

@@ -1,4 +1,4 @@
-"""What is wrong with a step that is not finite: looked for only after it, one term of the loss at a time."""
+"""What is wrong with a step that is not finite: examined only after it, one term of the loss at a time."""
 
 from collections.abc import Callable, Iterable
 from typing import Any

@@ -19,7 +19,7 @@ SHELLS = (1.5, 3.0, 6.0)
 
 
 def far_points(points: np.ndarray, frames: Sequence[Frame], count: int) -> np.ndarray:
-    """Points on three spheres around cameras and cloud, where a photo looks at them: something for backgrounds to be.
+    """Points on three spheres around cameras and cloud, where a photo has them in view, for backgrounds.
 
     What lies far behind a subject is seldom matched. Gaussians that stand in front of it, before the cameras on the
     other side, are then made to show it, and those cameras look through them as through fog.

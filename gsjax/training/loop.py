@@ -37,7 +37,7 @@ Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
 
 
 class Progress(NamedTuple):
-    """What the loop tells after every step."""
+    """What the loop reports after every step."""
 
     step: int  # steps done, all phases together
     phase: PlannedPhase
@@ -186,7 +186,7 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
 
 
 def _photos(work: Work, phase: PlannedPhase, scale: int) -> Batches:
-    """The photos so many times smaller, with what steps without the dear terms need beside them."""
+    """The photos so many times smaller, with what steps without the dear terms need with them."""
     data = batches.read_batches(work.frames, scale=scale, keep=work.keep)
     if work.effects:
         data = batches.with_photo_numbers(data)

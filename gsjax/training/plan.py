@@ -1,6 +1,6 @@
 """What will run, decided once: phases with their steps, sizes, terms and rules, from settings and the run's own facts.
 
-Loop, budget, pace, report and resume read a plan; settings stay as they were asked for.
+Loop, budget, pace, report and resume read a plan; settings stay as the user gave them.
 """
 
 import math
@@ -210,8 +210,8 @@ def plan(
     optimiser's matter (`gsjax.training.optimizers.make_optimizer`).
 
     Args:
-        settings: What was asked for.
-        terms: The run's own terms of the loss by name, beside the library's or in their place. Of a bare function it is
+        settings: Of the user.
+        terms: The run's own loss terms by name, besides the library's or in their place. Of a bare function it is
             found out what it needs.
         effects: Names of those that are simulated: masks of transients delay densification.
         densification: The run's own rule; None: the one that `density.rule` names.
@@ -272,7 +272,7 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
 
     Args:
         planned: The run.
-        frames: Its photos, of which only the sizes are looked at.
+        frames: Its photos, of which only the sizes are read.
 
     Raises:
         InputError: A term reads what it does not need, fails, or is not one float.

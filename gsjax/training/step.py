@@ -43,11 +43,11 @@ class Metrics(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What looking at one view, or several, brings beside the gradients."""
+    """What one view, or several, yields in addition to the gradients."""
 
     metrics: Metrics
     overflowed: Array  # a buffer of any kind was too short: gradients and metrics are of a wrong image
-    seen: Any = None  # what the update reads beside the gradients
+    statistics: Any = None  # what the update reads in addition to the gradients
 
 
 TrainStep = Callable[[TrainState, Batch, Array], tuple[TrainState, Metrics]]
@@ -226,7 +226,7 @@ def make_train_step(
             state,
             gaussians=gaussians,
             opt_state=opt_state,
-            statistics=outcome.seen,
+            statistics=outcome.statistics,
             step=state.step + 1,
             effects=looks,
         )
@@ -273,6 +273,6 @@ def _of_both(pairs: rasterizer.TilePairs, others: rasterizer.TilePairs) -> raste
 
 
 def in_photo(projection: rasterizer.Projection, size: Array) -> Array:
-    """`[N]` bool: what shows in a photo of `[2]` width and height, not only in the padding beside it."""
+    """`[N]` bool: what shows in a photo of `[2]` width and height, not only in the padding next to it."""
     reaches = projection.means2d[0] - projection.extents[0] < size.astype(jnp.float32)[None]
     return projection.visible[0] & jnp.all(reaches, axis=-1)

@@ -39,7 +39,7 @@ def view_order(seed: int, step: int, num_views: int) -> int:
 def one_view(data: Batches, seed: int, view_share: float) -> Callable[[int], Batch]:
     """A `Feed` of one device: the view of each step in `view_order`, the next one on its way meanwhile.
 
-    Where the views have neighbours, one of them stands beside each.
+    Where the views have neighbours, one of them stands next to each.
     """
     fed = batches.feed(data, room=batches.device_room(view_share))
 
@@ -111,7 +111,7 @@ def advance(
         capacity: Pair buffer to start with.
         room: How much longer than needed the buffer is made where it was too short.
         feed: What a step compares with.
-        looks: Steps done -> whether `after` looks at their state. After others the next step is begun before it is
+        looks: Steps done -> whether `after` reads their state. After others the next step is begun before it is
             known whether this one overflowed, so that a GPU never waits, and `after` gets a later state. The numbers
             are the same. None: it always looks.
         explain: (steps done, state, what the next step compares with, capacity) -> what is wrong with a step whose loss

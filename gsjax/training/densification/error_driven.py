@@ -2,7 +2,7 @@
 
 A Gaussian answers for its share of every pixel's error: sum over pixels of blending weight times error (Rota Bulo,
 Porzi, Kontschieder: Revising Densification in Gaussian Splatting). The largest shares split, so many that the budget is
-full on time; and in every densification some of the least seen make room for more, so that a full one goes on moving.
+full on time; and in every densification some of the least seen make room for more, so that a full one keeps moving.
 """
 
 from dataclasses import dataclass, replace

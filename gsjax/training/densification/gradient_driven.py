@@ -82,7 +82,7 @@ def accumulate(
 def wanted_count(
     gaussians: Gaussians, statistics: GradientStatistics, density: Density, *, step: Array, budget: int
 ) -> Array:
-    """`[]` int32 Gaussians that the densification after this step asks for; within the budget it gets them."""
+    """`[]` int32 Gaussians that the densification after this step requests; within the budget it gets them."""
     del step, budget
     alive = is_alive(gaussians)
     mean = statistics.gradient / jnp.maximum(statistics.views, 1)

@@ -52,7 +52,7 @@ def align_normals(estimator: Callable[..., Array], needs: Iterable[str] = ()) ->
     Args:
         estimator: (Gaussians, `gsjax.View` with depth, `gsjax.Camera`) -> `[H, W, 3]` directions in the camera's frame,
             of any length; zero where there is none.
-        needs: Words of `NEEDS` beside depth, normals and the Gaussians.
+        needs: Words of `NEEDS` in addition to depth, normals and the Gaussians.
     """
     return Term(losses.alignment_term(estimator), {"depth", "normals", "gaussians", *needs})
 

@@ -84,7 +84,7 @@ def _in_words(error: Exception) -> str:
 
 
 def _missing(loss: Callable[..., Any], everything: Seen, needs: Iterable[str]) -> tuple[str, ...] | None:
-    """What a term cannot be computed without beside its needs; None where it cannot be computed with everything."""
+    """What a term lacks in its needs; None where it cannot be computed with everything."""
     own = frozenset(needs)
     if _error(loss, _with(everything, own)) is None:
         return ()
@@ -154,7 +154,7 @@ def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
         size=shape(2, dtype=jnp.int32),
     )
 
-    def shown(gaussians: Gaussians, target: Batch, color: Array) -> tuple[View, Batch]:
+    def rendered(gaussians: Gaussians, target: Batch, color: Array) -> tuple[View, Batch]:
         batch = batches.decode(target, color)
         view = rendering.render(
             gaussians,
@@ -167,4 +167,4 @@ def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
         )
         return view._replace(neighbor=render_neighbor(gaussians, batch, PAIRS, depth_mode)), batch
 
-    return gaussians, *jax.eval_shape(shown, gaussians, target, shape(3))
+    return gaussians, *jax.eval_shape(rendered, gaussians, target, shape(3))

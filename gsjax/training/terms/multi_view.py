@@ -1,6 +1,6 @@
 """A view against a neighbour: the same surface must stand at the same place and look the same (PGSR's consistencies).
 
-Every step has a neighbour of its view beside it, drawn from a short list, and renders its depth too. Without the terms
+Every step has a neighbour of its view with it, drawn from a short list, and renders its depth too. Without the terms
 there is neither list nor second render.
 """
 
@@ -135,8 +135,8 @@ def with_neighbors(views: Batches, extent: float, shares: np.ndarray | float = 1
     Args:
         views: The photos.
         extent: Camera extent, scene units.
-        shares: `[V]`, or one for all, from 0 to 1, of the steps that a view has a neighbour beside it in; in the
-            others it is its own, which asks for nothing. The nearest ones stay.
+        shares: `[V]`, or one for all, from 0 to 1, of the steps that a view has a neighbour in; in the
+            others it is its own, which requires nothing. The nearest ones stay.
     """
     neighbors = nearest_views(np.stack([target.camera.viewmat for target in views.views]), extent)
     own = np.arange(len(neighbors))
@@ -149,7 +149,7 @@ def nearest_views(viewmats: np.ndarray, extent: float) -> np.ndarray:
     """`[V, NEAREST]` indices of each view's neighbours among `[V, 4, 4]` viewmats, the nearest first, repeated.
 
     Neighbours look the same way to within `WIDEST` and stand `APART`. A view without any is its own neighbour: its
-    pixels come home exactly, which asks for nothing.
+    pixels come home exactly, which requires nothing.
     """
     axes, rotations = viewmats[:, 2, :3], viewmats[:, :3, :3]
     centers = -np.einsum("vij,vi->vj", rotations, viewmats[:, :3, 3])

@@ -77,8 +77,8 @@ def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effe
     assert looked.left_out == expected
     names = tuple(frame.name for frame in scene.frames if frame.name not in expected)
     assert tuple(frame.name for frame in looked.scene.frames) == names
-    assert tuple(frame.name for frame in looked.found.observations.frames) == names
-    assert looked.found.effects["blur"].note.startswith("blurred: 04.png"), "told of the whole scene"
+    assert tuple(frame.name for frame in looked.diagnosis.observations.frames) == names
+    assert looked.diagnosis.effects["blur"].note.startswith("blurred: 04.png"), "told of the whole scene"
     assert ("left out: 04.png\n" in capsys.readouterr().err) == bool(expected)
 
 
@@ -86,7 +86,7 @@ def test_nobody_looks_where_nothing_is_asked():
     scene = blurred(4)
     looked = look_for_effects("none", scene)
     assert looked.scene is scene
-    assert looked.found is None
+    assert looked.diagnosis is None
 
 
 @pytest.mark.parametrize(("sigma", "width"), [(1.0, 2.5), (2.0, 5.0)])
