@@ -19,12 +19,11 @@ KINDS = {
     "`transforms.json`": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_transforms",
     "COLMAP models, text and binary": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_colmap",
     "Photos and masks of nine formats": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_photos_and_masks",
-    "Normal maps: `.npy`, `.npz`, PNG": "tests/gsjax/io/test_damaged_data_sets.py -k maps",
+    "Normal maps, arrays: `.npy`, `.npz`, PNG": "tests/gsjax/io/test_damaged_data_sets.py -k maps",
     "True depth and surfaces": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_truth",
     "Lists of photos, clouds": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_lists_and_clouds",
     "Seven files of a run": "tests/gsjax/runs/test_fuzz_runs.py::test_fuzz_the_files_of_a_run",
     "Checkpoints": "tests/gsjax/runs/test_fuzz_runs.py::test_fuzz_checkpoints",
-    "Arrays: `.npy`, `.npz`": "tests/gsjax/runs/test_fuzz_runs.py::test_fuzz_arrays",
     "Records of networks": "tests/gsjax/runs/test_fuzz_runs.py::test_fuzz_records_of_networks",
     "Other JSON": "tests/gsjax/io/test_json_files.py::test_fuzz_json",
 }

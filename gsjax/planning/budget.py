@@ -78,12 +78,10 @@ def budgeted(
         lasting: (run, factor) -> the run that takes so many times its time: `resized`, or `scaled` in steps alone.
 
     Raises:
-        InputError: The data set cannot be used, a candidate has no steps, or the budget is too short for any.
+        InputError: The data set cannot be used, or the budget is too short for any candidate.
     """
     began, scenes = time.perf_counter(), {}
     for name, settings in candidates.items():
-        if not settings.schedule.steps:
-            raise InputError(f"--budget: the phases of {name} have no steps to scale")
         loaded, downscale, _ = at_size(scene, settings.photos, settings.schedule.steps)
         scenes[name] = loaded, settings.replace(photos={"downscale": downscale})
     name = next(iter(scenes))

@@ -161,12 +161,6 @@ def test_the_least_budget_that_a_refusal_names_is_taken(monkeypatch):
     assert budget.budgeted("scene", only, least)[0].schedule.steps >= 50
 
 
-def test_phases_without_steps_cannot_be_scaled(monkeypatch):
-    Machine(monkeypatch)
-    with pytest.raises(InputError, match="the phases of fast have no steps to scale"):
-        budget.budgeted("scene", {"fast": NAMED["fast"].replace(schedule={"phases": (Phase("a", 0),)})}, 100)
-
-
 SETTINGS = Settings(
     schedule=Schedule(
         phases=(
