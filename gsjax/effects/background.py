@@ -30,24 +30,24 @@ _ONE_COLOR = 0.02  # standard deviation over the photos, and within them
 
 def judge(findings: "Findings") -> Evidence:
     """Judge whether light comes from no surface: much is bright, smooth and unmatched, and no wall explains it."""
-    seen, compared = findings.observations, findings.bare
-    if any(facts.has_matte for facts in seen.facts):
+    observations, compared = findings.observations, findings.bare
+    if any(facts.has_matte for facts in observations.facts):
         note = "mattes tell the object from what is behind it: --background random serves"
         return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, note)
-    if not seen.tracked:
+    if not observations.tracked:
         return unknown("share of photos", THRESHOLD, "without tracks a sky is no different from a wall")
-    shares = np.array([facts.sky_share for facts in seen.facts])
+    shares = np.array([facts.sky_share for facts in observations.facts])
     is_open = shares > OPEN
     value = float(is_open.mean())
     noise = float(np.sqrt(value * (1 - value) / len(shares)))
     note = f"{100 * shares.mean():.0f} % of all pixels bright, smooth and unmatched"
     if value <= THRESHOLD:
         return Evidence(False, value, "share of photos", noise, THRESHOLD, note)
-    colors = np.stack([facts.sky_color for facts in seen.facts])[is_open]
+    colors = np.stack([facts.sky_color for facts in observations.facts])[is_open]
     mean, spread = colors.mean(0), float(colors.std(0).max())
     shown = ", ".join(f"{channel:.2f}" for channel in mean)
     note += f"; colour {shown}, " + ("the same in all photos" if spread < _ONE_COLOR else f"+-{spread:.2f}")
-    is_white = _is_white(seen)
+    is_white = _is_white(observations)
     far = 0.0 if compared is None else sky.score(compared)
     note += "; pure white" if is_white else f"; a wall explains it x{far:.2f} as badly as infinity"
     is_on = is_white or far > sky.THRESHOLD

@@ -19,16 +19,16 @@ _SHOWN = 5
 
 def judge(findings: "Findings") -> Evidence:
     """Judge whether photos lack half of the median photo's sharpness, which the note names, or all lack resolution."""
-    seen = findings.observations
-    lost, blurred_by = _lost(seen), _lost_by_all(seen)
+    observations = findings.observations
+    lost, blurred_by = _lost(observations), _lost_by_all(observations)
     blurred = np.flatnonzero(lost > THRESHOLD)
-    names = [seen.frames[index].name for index in blurred[np.argsort(-lost[blurred])]]
+    names = [observations.frames[index].name for index in blurred[np.argsort(-lost[blurred])]]
     note = "the least sharp photo against the median one"
     if names:
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         note = (
             f"blurred: {', '.join(names[:_SHOWN])}{more}; {int((lost > DROP).sum())} by more than {100 * DROP:.0f} %,"
-            f" training leaves {len(photos_to_leave_out(seen)) or 'none'} out"
+            f" training leaves {len(photos_to_leave_out(observations)) or 'none'} out"
         )
     if blurred_by > THRESHOLD:
         note += f"; all photos are blurred: their sharpest edges are {SHARP_EDGE / (1 - blurred_by):.1f} pixels wide,"

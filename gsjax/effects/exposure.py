@@ -58,11 +58,11 @@ def estimate(seen: Observations) -> Gains | None:
 
 def judge(findings: "Findings") -> Evidence:
     """On where photos differ by more than noise, alike all over the scene, and gains predict unseen points."""
-    seen, gains = findings.observations, findings.gains
+    observations, gains = findings.observations, findings.gains
     if gains is None:
-        why = "no point is seen in three photos" if seen.tracked else "no tracks beside these photos"
+        why = "no point is seen in three photos" if observations.tracked else "no tracks beside these photos"
         return unknown("EV", THRESHOLD, why)
-    known = np.bincount(gains.data.photo, minlength=len(seen.frames)) > 0
+    known = np.bincount(gains.data.photo, minlength=len(observations.frames)) > 0
     values = gains.fit.gains[known]
     spread = float(values.mean(1).std())
     balance = float(max((values[:, channel] - values[:, 1]).std() for channel in (0, 2)))

@@ -52,12 +52,12 @@ def gauss_newton_steps(seen: Observations) -> tuple[Step | None, ...]:
 
 def judge(findings: "Findings") -> Evidence:
     """On where a fifth of the photos would move their points by more than a third of a pixel, and are sure of it."""
-    known = [step for step in findings.steps if step is not None]
-    if not known:
+    steps = [step for step in findings.steps if step is not None]
+    if not steps:
         return unknown("px", THRESHOLD, "needs keypoints matched in the photos")
-    value = float(np.quantile([step.shift for step in known], 1 - SHARE))
-    sure = np.mean([step.is_sure and step.shift > THRESHOLD for step in known])
-    noise = float(np.median([step.error for step in known]))
+    value = float(np.quantile([step.shift for step in steps], 1 - SHARE))
+    sure = np.mean([step.is_sure and step.shift > THRESHOLD for step in steps])
+    noise = float(np.median([step.error for step in steps]))
     note = f"the step that {100 * SHARE:.0f} % of the photos exceed, against their tracks"
     note += "; poses and points that are wrong together do not show"
     return Evidence(bool(sure >= SHARE), value, "px", noise, THRESHOLD, note)

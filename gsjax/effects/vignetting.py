@@ -76,13 +76,13 @@ def halves(seen: Observations, gains: Gains) -> list[tuple[float, float]]:
 
 def judge(findings: "Findings") -> Evidence:
     """Judge whether corners are darker, in all photos or in one half of them, by more than noise."""
-    seen, gains = findings.observations, findings.gains
+    observations, gains = findings.observations, findings.gains
     if gains is None:
         return unknown("EV", THRESHOLD, "needs points that three photos see")
-    slope, error = corner(seen, gains)
+    slope, error = corner(observations, gains)
     note = f"how much darker a corner is than the middle; needs {SIGNIFICANT} standard errors, has"
     note += f" {-slope / max(error, 1e-6):.0f}"
-    parts = halves(seen, gains)
+    parts = halves(observations, gains)
     if parts and abs(parts[0][0] - parts[1][0]) > max(THRESHOLD, SIGNIFICANT * np.hypot(parts[0][1], parts[1][1])):
         slope, error = min(parts)
         note += f"; changes over time: earlier photos {-parts[0][0]:.2f} EV, later ones {-parts[1][0]:.2f}"

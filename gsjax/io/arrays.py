@@ -39,9 +39,9 @@ def headers(file: Path, *keys: str) -> dict[str, Header]:
         if file.suffix == ".npy":
             return {"": _header(handle)}
         with zipfile.ZipFile(handle) as archive:
-            known = [name.removesuffix(".npy") for name in archive.namelist()]
-            _check_known(file, keys, known)
-            return {key: _header_in(archive, key) for key in keys or known}
+            present = [name.removesuffix(".npy") for name in archive.namelist()]
+            _check_known(file, keys, present)
+            return {key: _header_in(archive, key) for key in keys or present}
 
 
 def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:

@@ -118,11 +118,11 @@ def _opened(
     measured = [frame for frame in frames if frame.name in files]
     maps, faults = read_usable(measured, lambda frame: frame.name, lambda frame: (frame.name, usable(frame)))
     leave_out("depth maps", faults, len(measured), needed=(len(measured) + 1) // 2)
-    told = list(dict.fromkeys(note for _, (_, note, _) in maps if note))
-    more = f" (and {len(told) - 1} other sizes)" if len(told) > 1 else ""
+    notes = list(dict.fromkeys(note for _, (_, note, _) in maps if note))
+    more = f" (and {len(notes) - 1} other sizes)" if len(notes) > 1 else ""
     read = {name: read for name, (_, _, read) in maps}
     windows = {name: window for name, (window, _, _) in maps}
-    return DepthMaps(folder, unit, metres, read, windows, f"{told[0]}{more}" if told else "")
+    return DepthMaps(folder, unit, metres, read, windows, f"{notes[0]}{more}" if notes else "")
 
 
 def _depth_json(folder: Path) -> dict[str, Any]:
