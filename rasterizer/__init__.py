@@ -24,6 +24,7 @@ from rasterizer.harmonics import (
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, project
 from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, SMOOTH, Rules
+from rasterizer.updates import Moments, adam, all_finite
 
 __all__ = [
     "GSPLAT",
@@ -33,10 +34,13 @@ __all__ = [
     "Backend",
     "DepthMode",
     "Front",
+    "Moments",
     "Projection",
     "Rules",
     "TileGrid",
     "TilePairs",
+    "adam",
+    "all_finite",
     "bin_splats",
     "blend",
     "blended_depth",

@@ -100,6 +100,11 @@ def lists_by_itself(backend: Backend = "auto") -> bool:
     return resolve(backend) == "reference" or _engine(backend).unlisted is not None
 
 
+def native_loops(backend: Backend = "auto") -> ModuleType | None:
+    """The native loops where a backend stands for them, else None."""
+    return _native() if resolve(backend) == "native" else None
+
+
 def default_tile_size(backend: Backend = "auto") -> int:
     """The side of a tile that suits a backend, pixels."""
     return _engine(backend).tile_size

@@ -101,7 +101,7 @@ def adam_epsilon() -> float:
     scene, tiny, rate = cloud(1), np.float32(1e-15), 2.0
     optimizer = make_optimizer(Rates(opacities=rate), 1.0, 1)
     gradients = jax.tree.map(lambda x: jnp.full_like(x, tiny), scene)
-    moved, _ = apply_gradients(optimizer, scene, optimizer.init(scene), gradients)
+    moved, _ = apply_gradients(optimizer, scene, optimizer.init(scene), gradients, jnp.bool_(False))
     step = float(scene.logit_opacities[0] - moved.logit_opacities[0])
     return float(f"{tiny * (rate / step - 1):.1g}")
 

@@ -5,9 +5,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+import rasterizer
 from gsjax import rendering
 from gsjax.metrics.images import mse
-from gsjax.numerics import all_finite
 from gsjax.scene import batches
 from gsjax.training import optimizers
 from gsjax.training.state import TrainState
@@ -49,11 +49,11 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
             seen = in_photo(projection, target.size)
             distances = jnp.where(seen, projection.depths[0], 0) / extent
             statistics = rule.accumulate(statistics, gradients[1], seen, distances, target.size)
-        gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
-        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
-        finite = all_finite((total, gradients))
-        is_left = pairs.overflowed | ~finite
-        state = jax.tree.map(lambda old, new: jnp.where(is_left, old, new), state, proposed)
+        finite = rasterizer.all_finite((total, gradients))
+        skipped = pairs.overflowed | ~finite
+        moved = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0], skipped)
+        others = optimizers.unless(skipped, (state.statistics, state.step), (statistics, state.step + 1))
+        state = TrainState(*moved, *others)
         return state, Metrics(total, psnr, pairs.needed, pairs.overflowed, losses, finite)
 
     return train_step

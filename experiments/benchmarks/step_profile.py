@@ -93,7 +93,10 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
         "blending": (blended, blendable),
         "blending, with gradients": (jax.grad(blended), blendable),
         "L1 and D-SSIM, with gradients": (jax.grad(loss), (0.9 * batch.image,)),
-        "Adam": (partial(optimizers.apply_gradients, optimizer), (gaussians, optimizer.init(gaussians), gaussians)),
+        "Adam": (
+            partial(optimizers.apply_gradients, optimizer),
+            (gaussians, optimizer.init(gaussians), gaussians, jnp.bool_(False)),
+        ),
     }
     whole = steppers(config.parse(Settings, PRESETS["fast"]), finished, scene.train_frames, training_extent(scene))
 

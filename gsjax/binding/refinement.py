@@ -174,7 +174,7 @@ def refine(
     graph: MeshGraph,
     data: Batches,
     state: RefineState,
-    optimizer: optax.GradientTransformation,
+    optimizer: optimizers.Optimizer,
     *,
     background: Background,
     observe: Callable[[RefineProgress], None],
@@ -238,7 +238,7 @@ def refine(
     return state
 
 
-def initial_state(gaussians: MixedGaussians, optimizer: optax.GradientTransformation) -> RefineState:
+def initial_state(gaussians: MixedGaussians, optimizer: optimizers.Optimizer) -> RefineState:
     """Step 0."""
     return RefineState(gaussians, optimizer.init(with_faces(gaussians, None)), jnp.zeros((), jnp.int32))
 
@@ -249,7 +249,7 @@ def with_faces(gaussians: MixedGaussians, faces: Array | None) -> MixedGaussians
 
 
 def make_refine_step(
-    optimizer: optax.GradientTransformation,
+    optimizer: optimizers.Optimizer,
     weights: RefinementWeights,
     *,
     capacity: int,
@@ -274,11 +274,12 @@ def make_refine_step(
         total, losses, error = weighted_loss(terms, None, gaussians, view, batch)
         return total, (losses, error, view.splats.pairs)
 
-    def update(state: RefineState, gradients: MixedGaussians, outcome: Outcome, target: Batch) -> RefineState:
-        del outcome, target
+    def update(state: RefineState, gradients: MixedGaussians, outcome: Outcome, skipped: Array) -> RefineState:
+        del outcome
         parameters = with_faces(state.gaussians, None)
-        parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients)
-        return RefineState(with_faces(parameters, state.gaussians.bound.faces), opt_state, state.step + 1)
+        parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients, skipped)
+        step = jnp.where(skipped, state.step, state.step + 1)
+        return RefineState(with_faces(parameters, state.gaussians.bound.faces), opt_state, step)
 
     @partial(jax.jit, donate_argnums=1)
     def refine_step(graph: MeshGraph, state: RefineState, target: Batch, key: Array):
@@ -305,26 +306,28 @@ def active_degrees(gaussians: MixedGaussians, degree: Array) -> Array:
     return jnp.concatenate([jnp.broadcast_to(degree, gaussians.bound.num_gaussians), full])
 
 
-def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> optax.GradientTransformation:
-    """Adam (0.9, 0.999, eps 1e-15) per field; the vertices' rate falls log-linearly (SuGaR), as that of free means.
+def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> optimizers.Adam:
+    """Adam (0.9, 0.999) per field; the vertices' rate falls log-linearly (SuGaR), as that of free means.
 
     After `settings.moving_steps` it is 0. Others stay, or fall to `settings.rates.final_share` in the last third.
     """
     rates = settings.rates
-    of_gaussians = {
+    of_bound = {
         "log_scales": rates.scales,
         "rotations": rates.rotations,
         "logit_opacities": rates.opacities,
         "sh_dc": rates.sh_dc,
         "sh_rest": rates.sh_rest,
     }
-    chosen = {"vertices": vertex_rate(settings, extent, num_vertices)} | {
-        name: optimizers.falling_at_last(rate, rates.final_share, settings.steps) for name, rate in of_gaussians.items()
-    }
-    transforms = {name: optax.adam(rate, eps=1e-15) for name, rate in chosen.items()}
-    bound = optax.partition(transforms, lambda parameters: replace(parameters, **{name: name for name in chosen}))
     free = optimizers.make_optimizer(rates.free, extent, rates.free.decay_steps or settings.steps)
-    return _side_by_side(bound, free)
+    falling = {
+        f"bound.{name}": optimizers.falling_at_last(rate, rates.final_share, settings.steps)
+        for name, rate in of_bound.items()
+    }
+    return optimizers.Adam(
+        {"bound.vertices": vertex_rate(settings, extent, num_vertices), **falling}
+        | {f"free.{name}": rate for name, rate in free.rates.items()}
+    )
 
 
 def vertex_rate(settings: Refinement, extent: float, num_vertices: int) -> optax.Schedule:
@@ -337,26 +340,6 @@ def vertex_rate(settings: Refinement, extent: float, num_vertices: int) -> optax
         end_value=rates.vertices_final * unit,
     )
     return optax.join_schedules([falling, optax.constant_schedule(0.0)], [settings.moving_steps])
-
-
-def _side_by_side(
-    bound: optax.GradientTransformation, free: optax.GradientTransformation
-) -> optax.GradientTransformation:
-    """Each kind of Gaussians by a transformation of its own; what is not there has no state."""
-
-    def init(parameters: MixedGaussians) -> tuple[Any, Any]:
-        return bound.init(parameters.bound), None if parameters.free is None else free.init(parameters.free)
-
-    def update(
-        updates: MixedGaussians, state: tuple[Any, Any], parameters: MixedGaussians
-    ) -> tuple[MixedGaussians, tuple[Any, Any]]:
-        of_bound, bound_state = bound.update(updates.bound, state[0], parameters.bound)
-        if parameters.free is None:
-            return MixedGaussians(of_bound), (bound_state, None)
-        of_free, free_state = free.update(updates.free, state[1], parameters.free)
-        return MixedGaussians(of_bound, of_free), (bound_state, free_state)
-
-    return optax.GradientTransformation(init, update)
 
 
 def _normal_consistency(graph: MeshGraph) -> Term:

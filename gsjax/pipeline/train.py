@@ -9,7 +9,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import optax
 from jax import Array
 from jax.sharding import Mesh
 
@@ -38,6 +37,7 @@ from gsjax.training import data_parallel, optimizers
 from gsjax.training.data_parallel import Devices
 from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.loop import Progress, Work, follow
+from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
 from gsjax.training.terms import Term
@@ -110,7 +110,7 @@ class _Planned:
     """What runs."""
 
     plan: Plan
-    optimizer: optax.GradientTransformation
+    optimizer: Optimizer
     steps_in_common: int | None  # with the run of a warm start
 
 

@@ -24,13 +24,14 @@ from gsjax.scene import Frame, batches, with_pixels
 from gsjax.scene.cameras import Camera
 from gsjax.settings import Settings
 from gsjax.training import optimizers
+from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import plan
 from gsjax.training.state import TrainState
 
 HURRY = 10  # times a run's learning rate: of colours and effects, as there are few steps
 ACROSS, EVERY = 4, 4  # blocks across the longer side of a photo; one in so many is held out
 
-Initial = Callable[[Settings, optax.GradientTransformation, Effects, sky.Masks], TrainState]
+Initial = Callable[[Settings, Optimizer, Effects, sky.Masks], TrainState]
 """(validation run, optimiser, effects, sky masks) -> step 0 from the run's points."""
 
 

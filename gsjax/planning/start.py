@@ -4,7 +4,6 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-import optax
 
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
@@ -15,6 +14,7 @@ from gsjax.stereo import stereo_points
 from gsjax.training import initialize
 from gsjax.training.buffers import bucket
 from gsjax.training.densification.rules import DensificationRule
+from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, initial_state
 
@@ -64,7 +64,7 @@ def first_state(
     scene: Scene,
     model: Model,
     rule: DensificationRule,
-    optimizer: optax.GradientTransformation,
+    optimizer: Optimizer,
     effects: Effects,
     rows: int | None = None,
     skies: sky.Masks = MappingProxyType({}),

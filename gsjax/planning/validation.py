@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
-import optax
 
 from gsjax.config import parse
 from gsjax.effects import sky, transients
@@ -16,6 +15,7 @@ from gsjax.presets import QUICK
 from gsjax.scene import Frame
 from gsjax.settings import Settings, Supervision
 from gsjax.training.loop import Progress, Work, follow, kept_step
+from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
 from gsjax.training.step import TrainStep, make_train_step
@@ -71,7 +71,7 @@ class Variant:
     def __init__(
         self,
         plan: Plan,
-        optimizer: optax.GradientTransformation,
+        optimizer: Optimizer,
         extent: float,
         effects: Effects = NO_EFFECTS,
         skies: sky.Masks = MappingProxyType({}),

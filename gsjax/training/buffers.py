@@ -10,13 +10,13 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jax import Array
 
 from gsjax.gaussians import DEAD_LOGIT, is_alive
 from gsjax.settings import Density
 from gsjax.training import optimizers
 from gsjax.training.densification.rules import DensificationRule
+from gsjax.training.optimizers import Optimizer
 from gsjax.training.state import TrainState
 from rasterizer.engines import resolve
 
@@ -44,7 +44,7 @@ def _fitting(count: int, most: int) -> int:
     return min(max(-(-count // ROUND) * ROUND, _fewest_rows()), most)
 
 
-def lengthen(state: TrainState, optimizer: optax.GradientTransformation, rows: int) -> TrainState:
+def lengthen(state: TrainState, optimizer: Optimizer, rows: int) -> TrainState:
     """The same state in longer buffers; the new rows are free. With no more rows than now, the state itself."""
     extra = rows - state.gaussians.num_gaussians
     if extra <= 0:
@@ -66,7 +66,7 @@ def lengthen(state: TrainState, optimizer: optax.GradientTransformation, rows: i
     )
 
 
-def shorten(state: TrainState, optimizer: optax.GradientTransformation, most: int) -> TrainState:
+def shorten(state: TrainState, optimizer: Optimizer, most: int) -> TrainState:
     """The living Gaussians in their order, in buffers that are no longer than they have to be.
 
     Where that saves little, the state itself.
@@ -95,7 +95,7 @@ def _wanted(state: TrainState, *, rule: DensificationRule, density: Density, bud
 
 def with_room_to_densify(
     state: TrainState,
-    optimizer: optax.GradientTransformation,
+    optimizer: Optimizer,
     density: Density,
     most: int,
     *,

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-import optax
 from jax import Array
 from jax.sharding import Mesh
 
@@ -22,6 +21,7 @@ from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.faults import faulty_terms, photo_of
+from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
@@ -50,9 +50,7 @@ class Progress(NamedTuple):
 _kept = lru_cache(maxsize=32)(make_train_step)
 
 
-def kept_step(
-    optimizer: optax.GradientTransformation, terms: tuple[Weighed, ...], *, effects: Effects, **how: Any
-) -> TrainStep:
+def kept_step(optimizer: Optimizer, terms: tuple[Weighed, ...], *, effects: Effects, **how: Any) -> TrainStep:
     """`make_train_step`, the same for the same arguments: the next run of this plan finds its programs compiled.
 
     A term whose function is another is another argument. Effects bring numbers of their run, so that steps with them
@@ -68,7 +66,7 @@ class Work:
     plan: Plan
     frames: Sequence[Frame]  # training photos, best in memory: every phase reads them
     extent: float  # of the cameras, scene units
-    optimizer: optax.GradientTransformation  # the transformation that made the state
+    optimizer: Optimizer  # the transformation that made the state
     _: KW_ONLY
     prior: NormalsPrior | None = None  # gives normals to the first phase that needs them
     observe: Callable[[Progress], None] = lambda progress: None  # called after every step
@@ -87,7 +85,7 @@ def fit(
     frames: Sequence[Frame],
     extent: float,
     state: TrainState,
-    optimizer: optax.GradientTransformation,
+    optimizer: Optimizer,
     *,
     prior: NormalsPrior | None = None,
     observe: Callable[[Progress], None] = lambda progress: None,

@@ -1,33 +1,79 @@
 """One Adam per field of the Gaussians, with the learning rates of 3DGS."""
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 import optax
 from jax import Array
 
-from gsjax.gaussians import Gaussians
+import rasterizer
 from gsjax.settings import MEANS_FINAL, Rates
+from rasterizer import Moments
 
-LABELS = Gaussians(
-    means="means", quats="quats", log_scales="scales", logit_opacities="opacities", sh_dc="sh_dc", sh_rest="sh_rest"
-)
+P = TypeVar("P")  # parameters: a pytree of arrays
+
+Rate = float | optax.Schedule  # a schedule: steps that were done before -> rate
 
 
-def labels(gaussians: Any) -> Gaussians:
-    """`LABELS` in the structure of these Gaussians; optax also asks with a placeholder in their stead."""
-    return replace(LABELS, pixel_filter=getattr(gaussians, "pixel_filter", LABELS.pixel_filter))
+class Optimizer(Protocol):
+    """What `optax.GradientTransformation` has: any optax optimizer is one."""
+
+    init: Callable[..., Any]
+    update: Callable[..., Any]
+
+
+class AdamState(NamedTuple):
+    """The averages of `Adam`, trees like the parameters."""
+
+    count: Array  # [] int32 steps done
+    mu: Any  # of the gradients
+    nu: Any  # of their squares
+
+
+@dataclass(frozen=True)
+class Adam:
+    """`optax.adam` (eps 1e-15) with a learning rate for each field, in one pass over memory on a CPU."""
+
+    rates: Mapping[str, Rate] = field(hash=False)  # by the path of the field: "means", "free.means"
+    b1: float = 0.9
+    b2: float = 0.999
+
+    def init(self, parameters: Any) -> AdamState:
+        """Zeros."""
+        zeros = jax.tree.map(jnp.zeros_like, parameters)
+        return AdamState(jnp.zeros((), jnp.int32), zeros, jax.tree.map(jnp.zeros_like, parameters))
+
+    def update(self, gradients: Any, state: AdamState, parameters: Any = None) -> tuple[Any, AdamState]:
+        """What optax requires: the change of the parameters, and the next state."""
+        zeros = jax.tree.map(jnp.zeros_like, gradients if parameters is None else parameters)
+        return self.step(zeros, gradients, state, jnp.zeros((), bool))
+
+    def step(self, parameters: Any, gradients: Any, state: AdamState, skipped: Array) -> tuple[Any, AdamState]:
+        """The parameters and the state after a step; as they were where `skipped`, a `[]` bool."""
+        count = optax.safe_increment(state.count)
+
+        def step_field(path, parameter: Array, gradient: Array, mu: Array, nu: Array) -> tuple[Array, Moments]:
+            rate = self.rates[jax.tree_util.keystr(path, simple=True, separator=".")]
+            rate = rate(state.count) if callable(rate) else rate
+            how = {"rate": rate, "count": count, "b1": self.b1, "b2": self.b2}
+            return rasterizer.adam(parameter, gradient, Moments(mu, nu), skipped, **how)
+
+        # optax mixes int32 counts with floats, which strict promotion forbids.
+        with jax.numpy_dtype_promotion("standard"):
+            fields = jax.tree_util.tree_map_with_path(step_field, parameters, gradients, state.mu, state.nu)
+        one_field = jax.tree.structure((0, Moments(0, 0)))
+        moved, moments = jax.tree.transpose(jax.tree.structure(parameters), one_field, fields)
+        return moved, AdamState(jnp.where(skipped, state.count, count), *moments)
 
 
 @lru_cache(maxsize=16)  # Programs are kept by it: the same rates shall be the same key.
-def make_optimizer(
-    rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1
-) -> optax.GradientTransformation:
-    """Adam (0.9, 0.999, eps 1e-15) per field; the rate of the means falls log-linearly to `MEANS_FINAL`.
+def make_optimizer(rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1) -> Adam:
+    """Adam (0.9, 0.999) per field of `Gaussians`; the rate of the means falls log-linearly to `MEANS_FINAL`.
 
     The other rates stay, or fall to `rates.final_share` of themselves in the last third.
 
@@ -36,35 +82,23 @@ def make_optimizer(
         extent: Camera extent, scene units.
         decay_steps: Optimiser steps over which rates fall.
         views_per_step: Photos that a step takes: moments forget as much a photo, whatever that is.
-
-    Returns:
-        An optax transformation over `Gaussians`.
     """
     final = math.sqrt(views_per_step) * MEANS_FINAL
-    schedule = optax.exponential_decay(
+    of_means = optax.exponential_decay(
         rates.means * extent, max(decay_steps, 1), final / rates.means, end_value=final * extent
     )
-
-    def falling(rate: float):
-        return falling_at_last(rate, rates.final_share, decay_steps)
-
-    def adam(rate):
-        return optax.adam(rate, 0.9**views_per_step, 0.999**views_per_step, eps=1e-15)
-
-    return optax.partition(
-        {
-            "means": adam(schedule),
-            "quats": adam(falling(rates.quats)),
-            "scales": adam(falling(rates.scales)),
-            "opacities": adam(falling(rates.opacities)),
-            "sh_dc": adam(falling(rates.sh_dc)),
-            "sh_rest": adam(falling(rates.sh_rest)),
-        },
-        labels,
-    )
+    others = {
+        "quats": rates.quats,
+        "log_scales": rates.scales,
+        "logit_opacities": rates.opacities,
+        "sh_dc": rates.sh_dc,
+        "sh_rest": rates.sh_rest,
+    }
+    of_others = {name: falling_at_last(rate, rates.final_share, decay_steps) for name, rate in others.items()}
+    return Adam({"means": of_means, **of_others}, 0.9**views_per_step, 0.999**views_per_step)
 
 
-def falling_at_last(rate: float, final_share: float, steps: int) -> float | optax.Schedule:
+def falling_at_last(rate: float, final_share: float, steps: int) -> Rate:
     """A rate that falls log-linearly to `final_share` of itself in the last third of the steps; 1: it stays."""
     if final_share == 1:
         return rate
@@ -73,22 +107,27 @@ def falling_at_last(rate: float, final_share: float, steps: int) -> float | opta
     return optax.exponential_decay(rate, last, final_share, transition_begin=begin, end_value=end_value)
 
 
-def apply_gradients(
-    optimizer: optax.GradientTransformation, gaussians: Gaussians, state: Any, gradients: Gaussians
-) -> tuple[Gaussians, Any]:
-    """One optimiser step."""
+def apply_gradients(optimizer: Optimizer, parameters: P, state: Any, gradients: P, skipped: Array) -> tuple[P, Any]:
+    """One optimiser step; parameters and state as they were where `skipped`, a `[]` bool."""
+    if isinstance(optimizer, Adam):
+        return optimizer.step(parameters, gradients, state, skipped)
     # optax mixes int32 counts with floats, which strict promotion forbids.
     with jax.numpy_dtype_promotion("standard"):
-        updates, state = optimizer.update(gradients, state, gaussians)
-    return jax.tree.map(jnp.add, gaussians, updates), state
+        updates, moved = optimizer.update(gradients, state, parameters)
+    return unless(skipped, (parameters, state), (jax.tree.map(jnp.add, parameters, updates), moved))
 
 
-def map_moments(optimizer: optax.GradientTransformation, f, state: Any) -> Any:
+def unless(skipped: Array, before: P, after: P) -> P:
+    """One tree where `skipped`, a `[]` bool, the other elsewhere."""
+    return jax.tree.map(lambda old, new: jnp.where(skipped, old, new), before, after)
+
+
+def map_moments(optimizer: Optimizer, f, state: Any) -> Any:
     """Apply `f` to every moment array of an optimiser state (leading axis: Gaussians) and to nothing else."""
     return optax.tree.map_params(optimizer, f, state)
 
 
-def rearrange_moments(optimizer: optax.GradientTransformation, state: Any, source: Array, fresh: Array) -> Any:
+def rearrange_moments(optimizer: Optimizer, state: Any, source: Array, fresh: Array) -> Any:
     """Moments follow their Gaussian: row i takes those of row `source[i]`, or zero where `fresh[i]`.
 
     Args:

@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import optax
 from jax import Array
 
 from gsjax.effects import simulation
@@ -16,6 +15,7 @@ from gsjax.settings import Density
 from gsjax.training import optimizers
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule
+from gsjax.training.optimizers import Optimizer
 
 
 @jax.tree_util.register_dataclass
@@ -35,7 +35,7 @@ class TrainState:
 
 def initial_state(
     gaussians: Gaussians,
-    optimizer: optax.GradientTransformation,
+    optimizer: Optimizer,
     rule: DensificationRule = DENSIFICATION_RULES["adc"],
     effects: Effects = NO_EFFECTS,
 ) -> TrainState:
@@ -56,7 +56,7 @@ def densify(
     extent: Array,
     prune_large: Array,
     *,
-    optimizer: optax.GradientTransformation,
+    optimizer: Optimizer,
     density: Density,
     budget: int,
     rule: DensificationRule,
@@ -94,7 +94,7 @@ def densify(
 
 
 @partial(jax.jit, static_argnames=("optimizer", "limit"), donate_argnums=0)
-def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformation, limit: float) -> TrainState:
+def reset_opacities(state: TrainState, *, optimizer: Optimizer, limit: float) -> TrainState:
     """Cap the opacities at `limit` and forget their moments.
 
     The state is donated: its arrays are deleted, and only the returned state can be used from here on.
@@ -109,7 +109,7 @@ def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformatio
 
 
 @partial(jax.jit, static_argnames=("optimizer", "min_opacity"), donate_argnums=0)
-def cull(state: TrainState, *, optimizer: optax.GradientTransformation, min_opacity: float) -> TrainState:
+def cull(state: TrainState, *, optimizer: Optimizer, min_opacity: float) -> TrainState:
     """Remove Gaussians of an opacity under `min_opacity`: their rows are free. The moments of the others stay.
 
     The state is donated: its arrays are deleted, and only the returned state can be used from here on.
@@ -118,7 +118,7 @@ def cull(state: TrainState, *, optimizer: optax.GradientTransformation, min_opac
 
 
 @partial(jax.jit, static_argnames="optimizer", donate_argnums=0)
-def remove(state: TrainState, chosen: Array, *, optimizer: optax.GradientTransformation) -> TrainState:
+def remove(state: TrainState, chosen: Array, *, optimizer: Optimizer) -> TrainState:
     """Remove the Gaussians that are chosen, `[N]` bool: their rows are free. The moments of the others stay.
 
     The state is donated: its arrays are deleted, and only the returned state can be used from here on.
@@ -126,7 +126,7 @@ def remove(state: TrainState, chosen: Array, *, optimizer: optax.GradientTransfo
     return _with_fewer(state, gradient_driven.kill(state.gaussians, chosen), optimizer)
 
 
-def _with_fewer(state: TrainState, gaussians: Gaussians, optimizer: optax.GradientTransformation) -> TrainState:
+def _with_fewer(state: TrainState, gaussians: Gaussians, optimizer: Optimizer) -> TrainState:
     rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
     opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~is_alive(gaussians))
     return replace(state, gaussians=gaussians, opt_state=opt_state)

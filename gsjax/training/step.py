@@ -7,7 +7,6 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
-import optax
 from jax import Array
 from jax.sharding import Mesh
 
@@ -17,7 +16,6 @@ from gsjax.effects import simulation
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.metrics.images import in_decibels, mse
-from gsjax.numerics import all_finite
 from gsjax.rendering import View
 from gsjax.scene import batches
 from gsjax.scene.batches import Batch
@@ -65,7 +63,7 @@ BACKGROUNDS: dict[str, Background] = {
 
 def guarded_step(
     differentiate: Callable[[S, Batch, Array, Array], tuple[G, Outcome]],
-    update: Callable[[S, G, Outcome, Batch], S],
+    update: Callable[[S, G, Outcome, Array], S],
     background: Background,
 ) -> Callable[[S, Batch, Array], tuple[S, Outcome]]:
     """A step that leaves the state as it was where a buffer overflowed, or where loss or gradients are not finite.
@@ -75,20 +73,19 @@ def guarded_step(
     Args:
         differentiate: (state, target, colour under the image, key of this step) -> gradients of the loss, and what the
             view showed.
-        update: (state, gradients, outcome, target) -> the state after the step.
+        update: (state, gradients, outcome, skipped) -> the state after the step, as it was where `skipped`.
         background: Colour under the images.
     """
 
     def step(state: S, target: Batch, key: Array) -> tuple[S, Outcome]:
         key = jax.random.fold_in(key, state.step)  # pyright: ignore[reportAttributeAccessIssue]
         gradients, outcome = differentiate(state, target, background(key), key)
-        proposed = update(state, gradients, outcome, target)
-        finite = all_finite((outcome.metrics.loss, gradients))
+        finite = rasterizer.all_finite((outcome.metrics.loss, gradients))
         outcome = outcome._replace(metrics=outcome.metrics._replace(finite=finite))
-        is_left = outcome.overflowed | ~finite
+        skipped = outcome.overflowed | ~finite
         if target.turn is not None:  # An earlier step overflowed, which the host did not know yet.
-            is_left |= state.step != target.turn  # pyright: ignore[reportAttributeAccessIssue]
-        return jax.tree.map(lambda old, new: jnp.where(is_left, old, new), state, proposed), outcome
+            skipped |= state.step != target.turn  # pyright: ignore[reportAttributeAccessIssue]
+        return update(state, gradients, outcome, skipped), outcome
 
     return step
 
@@ -162,7 +159,7 @@ class _Objective:
 
 
 def make_train_step(
-    optimizer: optax.GradientTransformation,
+    optimizer: optimizers.Optimizer,
     terms: Sequence[Weighed],
     *,
     capacity: int,
@@ -216,20 +213,14 @@ def make_train_step(
         statistics = jax.tree.map(jnp.add, state.statistics, added)
         return jax.tree.map(lambda total: total / count, gradients), Outcome(metrics, metrics.overflowed, statistics)
 
-    def update(state: TrainState, gradients: _Free, outcome: Outcome, target: Batch) -> TrainState:
-        del target
+    def update(state: TrainState, gradients: _Free, outcome: Outcome, skipped: Array) -> TrainState:
         gaussians, opt_state = optimizers.apply_gradients(
-            optimizer, state.gaussians, state.opt_state, gradients.gaussians
+            optimizer, state.gaussians, state.opt_state, gradients.gaussians, skipped
         )
-        looks = simulation.update_effects(effects, state.effects, gradients.numbers)
-        return replace(
-            state,
-            gaussians=gaussians,
-            opt_state=opt_state,
-            statistics=outcome.statistics,
-            step=state.step + 1,
-            effects=looks,
-        )
+        before = state.statistics, state.step, state.effects
+        after = outcome.statistics, state.step + 1, simulation.update_effects(effects, state.effects, gradients.numbers)
+        statistics, step, looks = optimizers.unless(skipped, before, after)
+        return replace(state, gaussians=gaussians, opt_state=opt_state, statistics=statistics, step=step, effects=looks)
 
     step = guarded_step(several_views if mesh else one_view, update, background)
     if mesh:

@@ -11,11 +11,10 @@ state = gsjax.densify(state, key)
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jax import Array
 
 from gsjax import rendering
@@ -27,6 +26,7 @@ from gsjax.training import state as states
 from gsjax.training.capacity import headroom, rounded_capacity
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule
+from gsjax.training.optimizers import Optimizer
 from gsjax.training.state import TrainState
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms
@@ -38,16 +38,15 @@ DENSIFY_UNTIL, FULL_BY = 0.5, 0.6  # shares: of the steps; of those, where the b
 SH_BANDS = 7  # A band of harmonics opens after each such part of the steps (preset `fast`).
 
 
-class Optimizer(NamedTuple):
-    """An optax transformation over `Gaussians` that knows its scene and its length: what `adam` returns."""
+@dataclass(frozen=True)
+class SceneAdam(optimizers.Adam):
+    """Adam over `Gaussians` that knows its scene and its length: what `adam` returns."""
 
-    init: Callable[..., Any]
-    update: Callable[..., Any]
-    extent: float  # of the cameras, scene units
-    steps: int  # of the training
+    extent: float = 1.0  # of the cameras, scene units
+    steps: int = 1  # of the training
 
 
-def adam(extent: float, steps: int, **rates: float) -> Optimizer:
+def adam(extent: float, steps: int, **rates: float) -> SceneAdam:
     """Adam with a learning rate per field of `Gaussians`, those of 3DGS.
 
     Args:
@@ -62,10 +61,11 @@ def adam(extent: float, steps: int, **rates: float) -> Optimizer:
         raise ValueError(f"extent={extent} is not a positive number")
     if steps < 1:
         raise ValueError(f"steps={steps} is below 1")
-    return Optimizer(*optimizers.make_optimizer(Rates(**rates), float(extent), int(steps)), float(extent), int(steps))
+    fields = vars(optimizers.make_optimizer(Rates(**rates), float(extent), int(steps)))
+    return SceneAdam(**fields, extent=float(extent), steps=int(steps))
 
 
-def init(gaussians: Gaussians, optimizer: optax.GradientTransformation | Optimizer) -> TrainState:
+def init(gaussians: Gaussians, optimizer: Optimizer) -> TrainState:
     """The state before the first step.
 
     Args:
@@ -95,7 +95,7 @@ def densification(rule: str | DensificationRule, optimizer: Any, **thresholds: A
     Raises:
         ValueError: The rule is unknown, or the optimizer is not of `adam`.
     """
-    if not isinstance(optimizer, Optimizer):
+    if not isinstance(optimizer, SceneAdam):
         raise ValueError("densify='...' needs extent and steps: use gsjax.adam(...), or hand in a Densification")
     if isinstance(rule, str) and rule not in DENSIFICATION_RULES:
         raise ValueError(f"densify={rule!r} is none of {', '.join(DENSIFICATION_RULES)}")
@@ -218,7 +218,7 @@ def train_step(
     if background not in BACKGROUNDS:
         raise ValueError(f"background={background!r} is none of {', '.join(BACKGROUNDS)}")
     how = densify if isinstance(densify, Densification) or densify is None else densification(densify, optimizer)
-    every = max(1, optimizer.steps // SH_BANDS) if isinstance(optimizer, Optimizer) else 1000
+    every = max(1, optimizer.steps // SH_BANDS) if isinstance(optimizer, SceneAdam) else 1000
     return Step(
         optimizer,
         resolve_losses(losses),

@@ -24,7 +24,7 @@ HANDLER, TASK = types.int64(types.int64), types.void(types.int64)
 
 # Places of what is read, in words of 8 bytes.
 _EXTENSION, _API, _CONTEXT, _COUNT, ARGUMENTS, _RESULTS = 1, 2, 3, 7, 9, 14  # of a frame
-_DATA, _DIMENSIONS = 3, 5  # of a buffer
+_DATA, _RANK, _DIMENSIONS = 3, 4, 5  # of a buffer
 _CREATE_ERROR, _DESTROY_ERROR, _SCHEDULE, _COUNT_THREADS = 6, 8, 17, 18  # of the table of XLA's functions
 _RESOURCE_EXHAUSTED = 8
 # Of what threads share: how many hold it, the next item, the items that are done, all items, and their job.
@@ -71,6 +71,15 @@ def data(buffer):
 def length(buffer, axis):
     """Length of a buffer along an axis."""
     return word(word(buffer, _DIMENSIONS), axis)
+
+
+@inlined
+def size(buffer):
+    """How many numbers a buffer holds."""
+    total = 1
+    for axis in range(word(buffer, _RANK)):
+        total *= length(buffer, axis)
+    return total
 
 
 @inlined

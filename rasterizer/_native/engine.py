@@ -10,6 +10,7 @@ from jax import Array
 
 from rasterizer._native import lists as _lists
 from rasterizer._native import passes as _passes
+from rasterizer._native import updates as _updates
 from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.tiles import GEOMETRY, MAX_SIDE
 from rasterizer.binning import TileGrid, TilePairs, sigma_cuts
@@ -27,12 +28,12 @@ def _check_interface() -> None:
 
 
 _check_interface()
-for _handler in (_lists.lists, _passes.forward, _passes.backward):
+for _handler in (_lists.lists, _passes.forward, _passes.backward, _updates.adam, _updates.all_finite):
     jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
 
 
-def _call(name: str, results, *arguments):
-    return jax.ffi.ffi_call(f"rasterizer_{name}", results, vmap_method="sequential")(*arguments)
+def _call(name: str, results, *arguments, **how):
+    return jax.ffi.ffi_call(f"rasterizer_{name}", results, vmap_method="sequential", **how)(*arguments)
 
 
 def _single(x: Array) -> Array:
@@ -107,6 +108,19 @@ def bin_splats(
     listed = _listed(projection, opacities, grid, rules, masks)
     splats, offsets, needed = _call("lists", results, *listed)
     return TilePairs(splats, offsets, needed, needed > capacity)
+
+
+def adam(parameters: Array, gradients: Array, mu: Array, nu: Array, numbers: Array, skipped: Array) -> list[Array]:
+    """Parameters and moments of `rasterizer.adam` after a step, in the place of those before it."""
+    result = jax.ShapeDtypeStruct(parameters.shape, np.float32)
+    places = {0: 0, 2: 1, 3: 2}
+    arguments = parameters, gradients, mu, nu, numbers, skipped
+    return _call("adam", [result] * 3, *arguments, input_output_aliases=places)
+
+
+def all_finite(*arrays: Array) -> Array:
+    """`rasterizer.all_finite` of float32 arrays."""
+    return _call("all_finite", jax.ShapeDtypeStruct((), bool), *arrays)
 
 
 def _check_side(side: int) -> None:

@@ -9,6 +9,7 @@ from small_scenes import camera_at, cloud, photographed
 from gsjax.errors import InputError
 from gsjax.scene import batches
 from gsjax.training import stepping
+from gsjax.training.optimizers import unless
 from gsjax.training.step import BACKGROUNDS, Metrics, Outcome, guarded_step
 
 
@@ -44,8 +45,8 @@ def toy_steps(data, capacity, **how):
             metrics = Metrics(color[0], color[0], needed, needed > capacity, {})
             return jax.random.uniform(key) + target.camera.viewmat[0, 3], Outcome(metrics, metrics.overflowed)
 
-        def update(state, gradient, outcome, target):
-            return Toy(state.step + 1, state.seen * 0.9 + gradient)
+        def update(state, gradient, outcome, skipped):
+            return unless(skipped, state, Toy(state.step + 1, state.seen * 0.9 + gradient))
 
         step = guarded_step(differentiate, update, BACKGROUNDS["white"])
         return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))
@@ -132,8 +133,8 @@ def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_af
             gradient = jnp.where(state.step == 44, jnp.nan, 1.0)
             return gradient, Outcome(Metrics(color[0], color[0], 32, False, {}), jnp.bool_(False))
 
-        def update(state, gradient, outcome, target):
-            return Toy(state.step + 1, state.seen + gradient)
+        def update(state, gradient, outcome, skipped):
+            return unless(skipped, state, Toy(state.step + 1, state.seen + gradient))
 
         step = guarded_step(differentiate, update, BACKGROUNDS["white"])
         return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))

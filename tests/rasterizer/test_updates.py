@@ -1,0 +1,130 @@
+"""Finite gradients and `rasterizer.adam`, as loops and in jnp: beside Adam in float64 and beside optax."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from tolerances import assert_close
+
+import rasterizer
+from rasterizer import Moments
+
+BACKENDS = pytest.mark.parametrize("backend", ["native", "xla"])
+SHAPES = [(0,), (1,), (37, 3), (5, 2, 3), (20_011,)]  # the last is more than one block of a thread
+RATE, EPS = 0.02, 1e-15
+
+
+def gradients_of(shape, steps):
+    """Gradients of many magnitudes, some of them zero, one of them zero in every step."""
+    rng = np.random.default_rng(len(shape))
+    values = rng.normal(size=(steps, *shape)) * 10.0 ** rng.uniform(-12, 4, (steps, *shape))
+    values[rng.uniform(size=values.shape) < 0.1] = 0
+    values.reshape(steps, -1)[:, :1] = 0
+    return values.astype(np.float32)
+
+
+def stepped(backend, parameters, gradients, skipped=False):
+    """Parameters and moments after steps from zero moments."""
+    zeros = jnp.zeros_like(parameters)
+    step = jax.jit(partial(rasterizer.adam, rate=RATE, backend=backend), donate_argnums=(0, 2))
+    moments = Moments(zeros, jnp.zeros_like(zeros))
+    for count, gradient in enumerate(gradients, 1):
+        parameters, moments = step(parameters, gradient, moments, jnp.bool_(skipped), count=jnp.int32(count))
+    return parameters, moments
+
+
+def in_float64(parameters, gradients):
+    mu, nu = np.zeros(parameters.shape), np.zeros(parameters.shape)
+    for count, gradient in enumerate(gradients.astype(np.float64), 1):
+        mu, nu = 0.9 * mu + 0.1 * gradient, 0.999 * nu + 0.001 * gradient**2
+        parameters = parameters - RATE * (mu / (1 - 0.9**count)) / (np.sqrt(nu / (1 - 0.999**count)) + EPS)
+    return parameters, Moments(mu, nu)
+
+
+def assert_alike(moments, expected, gradients):
+    """Beside the largest gradient of each number: sums of terms of both signs cancel."""
+    largest = np.maximum(np.abs(gradients).max(0, initial=0), 1e-30)
+    for one, other, scale in zip(moments, expected, (largest, largest.astype(np.float64) ** 2), strict=True):
+        ratios = (np.asarray(each, np.float64) / scale for each in (one, other))
+        assert_close(*ratios, rtol=0, atol=3e-7, why="a few roundings of float32")
+
+
+@BACKENDS
+@pytest.mark.parametrize("shape", SHAPES)
+def test_steps_are_those_in_float64(backend, shape):
+    parameters = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+    gradients = gradients_of(shape, 4)
+    actual, moments = stepped(backend, jnp.asarray(parameters), gradients)
+    expected, of_float64 = in_float64(parameters.astype(np.float64), gradients)
+    why = "four roundings of float32; 1 - 0.999 ** count loses three digits"
+    assert_close(actual - parameters, (expected - parameters).astype(np.float32), rtol=1e-4, atol=1e-6, why=why)
+    assert_alike(moments, of_float64, gradients)
+    if parameters.size:
+        assert actual.reshape(-1)[0] == parameters.reshape(-1)[0], "no gradient, no step"
+
+
+@BACKENDS
+def test_each_step_is_that_of_optax(backend):
+    parameters = jnp.asarray(np.random.default_rng(1).uniform(1, 2, (300, 3)), jnp.float32)
+    optimizer = optax.adam(RATE, eps=EPS)
+    state = optimizer.init(parameters)
+    gradients = gradients_of(parameters.shape, 5)
+    for count, gradient in enumerate(gradients, 1):
+        how = {"rate": RATE, "count": jnp.int32(count), "backend": backend}
+        moments = Moments(state[0].mu, state[0].nu)
+        moved, after = rasterizer.adam(parameters, jnp.asarray(gradient), moments, jnp.bool_(False), **how)
+        with jax.numpy_dtype_promotion("standard"):
+            updates, state = optimizer.update(jnp.asarray(gradient), state, parameters)
+        parameters += updates
+        np.testing.assert_array_max_ulp(np.asarray(moved), np.asarray(parameters), 1)
+        assert_alike(after, Moments(state[0].mu, state[0].nu), gradients)
+
+
+@BACKENDS
+def test_a_skipped_step_changes_no_bit_whatever_the_gradient(backend):
+    parameters = jnp.asarray([1.5, -0.0, 2.0, 3.0], jnp.float32)
+    gradient = np.array([[1.0, np.nan, np.inf, -np.inf]], np.float32)
+    actual, moments = stepped(backend, jnp.copy(parameters), gradient, skipped=True)
+    assert actual.tobytes() == parameters.tobytes()
+    assert not np.any(moments.mu) and not np.any(moments.nu)
+
+
+@BACKENDS
+def test_numbers_that_are_not_donated_stay(backend):
+    parameters, gradient = jnp.ones((50, 3), jnp.float32), jnp.full((50, 3), 2.0, jnp.float32)
+    moments = Moments(jnp.zeros_like(parameters), jnp.zeros_like(parameters))
+    how = {"rate": RATE, "count": jnp.int32(1), "backend": backend}
+    moved, after = rasterizer.adam(parameters, gradient, moments, jnp.bool_(False), **how)
+    assert_close(moved, jnp.full((50, 3), 1 - RATE, jnp.float32))
+    assert np.all(parameters == 1) and not np.any(moments.mu) and np.all(after.nu > 0)
+
+
+@BACKENDS
+def test_the_same_step_has_the_same_bits(backend):
+    parameters = jnp.zeros(100_003, jnp.float32)
+    gradients = gradients_of(parameters.shape, 2)
+    first, second = (np.asarray(stepped(backend, jnp.copy(parameters), gradients)[0]) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+@BACKENDS
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", [0, 16_383, 16_384, 49_998])
+def test_one_number_that_is_not_finite_is_found_wherever_it_stands(backend, bad, place):
+    all_finite = jax.jit(partial(rasterizer.all_finite, backend=backend))
+    numbers = jnp.asarray(np.random.default_rng(0).normal(size=49_999) * 1e30, jnp.float32)
+    tree = {"rows": numbers.reshape(-1, 1), "count": jnp.int32(7), "one": jnp.float32(3), "none": jnp.zeros((0, 3))}
+    assert all_finite(tree)
+    assert not all_finite({**tree, "rows": numbers.at[place].set(bad)})
+    assert not all_finite({**tree, "one": jnp.float32(bad)})
+
+
+@BACKENDS
+def test_the_largest_numbers_are_finite_and_so_is_nothing(backend):
+    largest = np.full(1000, np.finfo(np.float32).max)
+    assert rasterizer.all_finite((largest, -largest), backend=backend)
+    assert rasterizer.all_finite((), backend=backend)
+    assert rasterizer.all_finite({"whole": np.arange(3)}, backend=backend)
