@@ -95,11 +95,11 @@ def table(config: Mapping[str, Any]) -> dict[str, Varied]:
     return {name: Varied(values, trained) for name, values in of_training(config).items()} | {
         "surface points": Varied({f"{n:,}": {"points": n} for n in (400_000, 200_000, 100_000, 50_000)}, meshed),
         "Poisson depth": Varied({str(depth): {"depth": depth} for depth in (9, 8, 7, 6)}, meshed),
-        "settling": Varied({"settled": {}, "unsettled": {"settled": False}}, meshed),
+        "photometric vertex refinement": Varied({"on": {}, "off": {"photo_refine": False}}, meshed),
         "refinement steps": Varied({f"{n:,}": {"steps": n} for n in (1000, 500, 250, 100)}, refined),
         "refinement triangles": Varied({f"{n:,}": {"faces": n} for n in (30_000, 15_000, 8_000, 4_000)}, refined),
-        "refined mesh settles": Varied(
-            {f"after {share:g} of the steps": {"settle_at": share} for share in (0.6, 0.8, 1.0)}, refined
+        "refined mesh is refined on photos": Varied(
+            {f"after {share:g} of the steps": {"photo_refine_at": share} for share in (0.6, 0.8, 1.0)}, refined
         ),
         "texture": Varied({f"{n:,} px": n for n in (4096, 2048, 1024, 512)} | {"as the photos": None}, textured),
     }

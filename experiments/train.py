@@ -25,7 +25,7 @@ from gsjax.settings import Settings
 
 def run(name: str, scene: str, out: str, assignments: Sequence[str] = ()) -> dict:
     """Trains `scene` with a config, extracts the mesh, scores both; `OUT/evaluation.json` holds what is returned."""
-    from gsjax import pipeline  # Here, and not above: it imports jax, whose environment `run_guarded` settles first.
+    from gsjax import pipeline  # Here, and not above: it imports jax, whose environment `run_guarded` sets first.
 
     pipeline.train(scene, out, load_settings(name, assignments))
     mesh = Path(out) / "mesh.ply"

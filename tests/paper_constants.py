@@ -187,7 +187,7 @@ def asked_training(schedule: str) -> Settings:
 
 
 VANILLA, ENTROPY = Budget(7000, True, 0, 0, 0), Budget(2000, False, 0.1, 0, 0.5)
-SUGAR_MESH = {"level": 0.3, "points": 10_000_000, "depth": 10, "trim_quantile": 0.1, "settled": False,
+SUGAR_MESH = {"level": 0.3, "points": 10_000_000, "depth": 10, "trim_quantile": 0.1, "photo_refine": False,
               "keep_floaters": True}  # fmt: skip
 PAPER, DGS = "Paper, Implementation Details", "3DGS, arguments/__init__.py"
 

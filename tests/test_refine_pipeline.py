@@ -13,7 +13,7 @@ from small_scenes import camera_at, plane
 
 from gsjax import cli, config, pipeline, runs
 from gsjax.binding import refinement
-from gsjax.binding.refinement import PRESETS, SETTLE_AT, Refinement
+from gsjax.binding.refinement import PHOTO_REFINE_AT, PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files, photos
 from gsjax.io.images import read_image, write_image
@@ -28,7 +28,7 @@ from gsjax.scene.meshes import Mesh, face_normals
 from gsjax.settings import Model, Photos, Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, settle_at=0.75)
+SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, photo_refine_at=0.75)
 BOUND = 54  # three on each of 18 triangles
 
 
@@ -84,7 +84,7 @@ def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined)
     np.testing.assert_array_equal(mesh.faces, coarse.faces)
     assert 1e-4 < np.abs(mesh.vertices - coarse.vertices).max() < 0.3
     # Photos of noise agree nowhere, but better in some places than in others.
-    assert report["settled"]["moved_px"] > 0 and report["settled"]["after"] < report["settled"]["before"]
+    assert report["photo_refine"]["moved_px"] > 0 and report["photo_refine"]["after"] < report["photo_refine"]["before"]
     np.testing.assert_allclose(read_mesh(refined.out / "mesh.glb").vertices, mesh.vertices, atol=1e-6)
     manifest = json_files.read(refined.out / "manifest.json")
     assert manifest["status"] == "done" and manifest["scene"] == str(place.scene)
@@ -231,7 +231,7 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
         "m.obj",
         "--resume",
         "--bound-only",
-        "--settle",
+        "--photo-refine",
     ]
     assert cli.main(["refine", "run", "--out", "o", *options, "--set", "weights.alpha=2", "opacity=0.5"]) == 0
     (first, keywords), (second, more) = calls
@@ -239,13 +239,13 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
     assert keywords == {}
     assert (second[2].steps, second[2].faces, second[2].per_triangle) == (7000, 500, 6)
     assert first[2].keep_free and not second[2].keep_free
-    assert (first[2].settle_at, second[2].settle_at) == (SETTLE_AT, SETTLE_AT)
+    assert (first[2].photo_refine_at, second[2].photo_refine_at) == (PHOTO_REFINE_AT, PHOTO_REFINE_AT)
     assert (second[2].weights.alpha, second[2].opacity) == (2.0, 0.5)
     assert more == {"mesh": "m.obj", "resume": True}
     assert "psnr  30" in capsys.readouterr().out
-    assert cli.main(["refine", "run", "--out", "o", "--unsettled"]) == 0
-    assert calls[2][0][2].settle_at == 1.0
-    assert cli.main(["refine", "run", "--out", "o", "--settle", "--unsettled"]) == 2
+    assert cli.main(["refine", "run", "--out", "o", "--no-photo-refine"]) == 0
+    assert calls[2][0][2].photo_refine_at == 1.0
+    assert cli.main(["refine", "run", "--out", "o", "--photo-refine", "--no-photo-refine"]) == 2
     assert cli.main(["refine", "run", "--out", "o", "--set", "weights.l2=1"]) == 2
     assert "unknown key 'weights.l2'; the nearest known one is 'weights.l1'" in capsys.readouterr().err
     assert cli.main(["refine", "run", "--out", "o", "--per-triangle", "2"]) == 2

@@ -65,7 +65,7 @@ PAPER_MESH: dict[str, Any] = {
     "points": 10_000_000,
     "depth": 10,
     "trim_quantile": 0.1,
-    "settled": False,
+    "photo_refine": False,
     "keep_floaters": True,
 }
 """Options of `gsjax.pipeline.mesh` for every method: the paper extracts all of its meshes by SuGaR's technique.

@@ -95,7 +95,7 @@ class Refinement:
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
     pixel_filter: PixelFilter = "mip"  # see `gsjax.rendering.PIXEL_FILTERS`
     keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.uncovered`
-    settle_at: float = 1.0  # share of the steps after which the mesh is refined on its photos and stays there; 1: never
+    photo_refine_at: float = 1.0  # share of the steps: then photos move the mesh, and it stays there; 1: never
     seed: int = 0
     weights: RefinementWeights = RefinementWeights()
     rates: RefinementRates = RefinementRates()
@@ -115,13 +115,13 @@ class Refinement:
             raise ValueError(f"opacity={self.opacity} is not in 0..1 or thickness={self.thickness} is not above 0")
         if not 0 <= self.halved_share < 1:
             raise ValueError(f"halved_share={self.halved_share} is not at least 0 and below 1")
-        if not 0 < self.settle_at <= 1:
-            raise ValueError(f"settle_at={self.settle_at} is not above 0 and at most 1")
+        if not 0 < self.photo_refine_at <= 1:
+            raise ValueError(f"photo_refine_at={self.photo_refine_at} is not above 0 and at most 1")
 
     @property
     def moving_steps(self) -> int:
         """Steps in which the vertices are trained; the Gaussians are in the rest too."""
-        return math.ceil(self.settle_at * self.steps)
+        return math.ceil(self.photo_refine_at * self.steps)
 
 
 _FAST_RATES = {
@@ -132,12 +132,12 @@ _FAST_RATES = {
     "rotations": 0.02,
     "final_share": 0.1,
 }
-SETTLE_AT = 0.6  # Before the rates fall: colours have to follow the mesh (docs/refinement.md).
+PHOTO_REFINE_AT = 0.6  # Before the rates fall: colours have to follow the mesh (docs/refinement.md).
 _FAST = {
     "steps": 1_000,
     "faces": 30_000,
     "halved_share": 0.5,
-    "settle_at": SETTLE_AT,
+    "photo_refine_at": PHOTO_REFINE_AT,
     "rates": {**_FAST_RATES, "free": RATES},
 }
 _SUGAR = {"sh_every": 1_000, "rates": {"decay_steps": 30_000}}  # the same at each of its lengths

@@ -48,9 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="reconstruct what lies in this box and not in --bounds too, at its own resolution")  # fmt: skip
     add("--foreground-only", action="store_const", const=True, help="no background, whatever there is")
     add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")
-    add("--unsettled", dest="settled", action="store_const", const=False,
+    add("--no-photo-refine", dest="photo_refine", action="store_const", const=False,
         help="leave the surface where the Gaussians have it")  # fmt: skip
-    add("--fill-holes", dest="holes_filled", action="store_const", const=True,
+    add("--fill-holes", action="store_const", const=True,
         help="close holes where two views show a surface; others stay open; after agreed always")  # fmt: skip
     add("--keep-floaters", action="store_const", const=True,
         help="use Gaussians too that hang in the air: shown by one view alone, looked through by others")  # fmt: skip

@@ -36,9 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--bound-only", dest="keep_free", action="store_const", const=False,
         help="drop all Gaussians of RUN: nothing shows then where there is no mesh")  # fmt: skip
     refinement = parser.add_mutually_exclusive_group()
-    refinement.add_argument("--settle", dest="settled", action="store_const", const=True,
+    refinement.add_argument("--photo-refine", dest="photo_refine", action="store_const", const=True,
         help="after three fifths of the steps, fit the vertices to the photos (fast, balanced: default)")  # fmt: skip
-    refinement.add_argument("--unsettled", dest="settled", action="store_const", const=False,
+    refinement.add_argument("--no-photo-refine", dest="photo_refine", action="store_const", const=False,
         help="the mesh stays where its Gaussians have moved it (medium, long: default)")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
@@ -51,16 +51,16 @@ def run(
     run_folder: str,
     out: str,
     preset: str = "fast",
-    settled: bool | None = None,
+    photo_refine: bool | None = None,
     assignments: Sequence[str] = (),
     **options: Any,
 ) -> dict[str, Any]:
     """Refine with the settings of the preset, the options, then `--set`."""
     from gsjax import config, pipeline
-    from gsjax.binding.refinement import PRESETS, SETTLE_AT, Refinement
+    from gsjax.binding.refinement import PHOTO_REFINE_AT, PRESETS, Refinement
 
     handed = {name: options.pop(name) for name in ("mesh", "resume", "scene_folder") if name in options}
-    if settled is not None:
-        options["settle_at"] = SETTLE_AT if settled else 1.0
+    if photo_refine is not None:
+        options["photo_refine_at"] = PHOTO_REFINE_AT if photo_refine else 1.0
     settings = config.parse_overridden(Refinement, config.merge(PRESETS[preset], options), assignments)
     return pipeline.refine(run_folder, out, settings, **handed)

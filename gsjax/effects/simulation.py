@@ -19,7 +19,7 @@ from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
 
 RATE, FINAL = 2e-3, 1e-2  # Adam's learning rate, and the share of it that is left at the end (PPISP)
-HOLD = 300  # steps before an effect may move, and after opacities were reset: colours settle first
+HOLD = 300  # steps before an effect may move, and after opacities were reset: colours come first
 WARM_UP = 500  # steps to the full rate
 LIMIT = 3.0  # of the logarithm of what light is multiplied by: 20 times, on display-coded values
 SATURATED = 0.99  # display-coded: a photo that is so bright tells no more than that there was no less light
@@ -181,8 +181,8 @@ def learning_rate(
         value = peak * ramp * final ** (done / steps)
         if not reset_every:
             return value
-        settling = (done >= reset_every) & (done < resets_stop + hold) & (jnp.mod(done, reset_every) < hold)
-        return jnp.where(settling, 0.0, value)
+        too_soon = (done >= reset_every) & (done < resets_stop + hold) & (jnp.mod(done, reset_every) < hold)
+        return jnp.where(too_soon, 0.0, value)
 
     return rate
 

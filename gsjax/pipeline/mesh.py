@@ -12,11 +12,10 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.io.temporary_files import sweep_beside
-from gsjax.meshing import level_set
+from gsjax.meshing import holes, level_set
 from gsjax.meshing.connectivity import topology
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
-from gsjax.meshing.holes import fill_holes
 from gsjax.meshing.mesh_method import Method
 from gsjax.meshing.methods import USUAL, MeshMethod, MethodOptions, methods_of
 from gsjax.meshing.photo_refine import refine_on_photos
@@ -56,8 +55,8 @@ def mesh(
     foreground_only: bool = False,
     faces: int = 1_000_000,
     scene: str | Path | None = None,
-    settled: bool = True,
-    holes_filled: bool = False,
+    photo_refine: bool = True,
+    fill_holes: bool = False,
     keep_floaters: bool = False,
 ) -> dict[str, Any]:
     """Extract the mesh of a run, or of any file of Gaussians.
@@ -84,8 +83,8 @@ def mesh(
         faces: Most triangles of the foreground, and of the background.
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them. Of a run
             folder, where its data set is, if it was moved.
-        settled: Whether vertices move to where the photos agree.
-        holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`). After "agreed"
+        photo_refine: Whether vertices move to where the photos agree.
+        fill_holes: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`). After "agreed"
             they always are.
         keep_floaters: Whether Gaussians that hang in the air (`gsjax.rendering.outliers`) take part. They always do
             where no camera of a photo is known.
@@ -93,7 +92,7 @@ def mesh(
     Returns:
         A report: `vertices`, `faces`, the name of the `method`, what `extract_mesh` reports; `floaters`: how many were
         left out, None where they were not searched; `tried`: the shares and seconds of every method that `auto` tried;
-        `settled` and `holes`: what `refine_on_photos` and `fill_holes` report, or None where it was not done.
+        `photo_refine` and `holes`: what `refine_on_photos` and `fill_holes` report, or None where it was not done.
 
     Raises:
         InputError: Nothing to mesh, an option that the method does not read or that is out of range, or a file cannot
@@ -108,21 +107,21 @@ def mesh(
     methods = methods_of(method, options)
     request = Request(options, crop_of(bounds, background_bounds, foreground_only), faces)
     needs = frozenset[str]().union(*(each.needs for each in methods.values()))
-    result, data = _open(Path(source), scene, with_photos=settled or len(methods) > 1 or "photos" in needs)
+    result, data = _open(Path(source), scene, with_photos=photo_refine or len(methods) > 1 or "photos" in needs)
     request = _to_local(request, result)
 
-    several_passes = len(methods) > 1 or holes_filled or any(each.closes_holes for each in methods.values())
+    several_passes = len(methods) > 1 or fill_holes or any(each.closes_holes for each in methods.values())
     views, floaters = MeshViews(result, data, with_owners="owners" in needs, several_passes=several_passes), None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
         views, floaters = views.without_floaters()
     name, tried = _select(methods, request, views)
     surface, report = _extract(methods[name], request, views, views.ids)
-    report |= {"method": name, "tried": tried, "floaters": floaters, "holes": None, "settled": None}
-    if holes_filled or methods[name].closes_holes:
-        surface, closed = fill_holes(surface, views.rendered)
+    report |= {"method": name, "tried": tried, "floaters": floaters, "holes": None, "photo_refine": None}
+    if fill_holes or methods[name].closes_holes:
+        surface, closed = holes.fill_holes(surface, views.rendered)
         report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
-    if settled and data is not None:
-        surface, report["settled"] = refine_on_photos(surface, data.train_frames)
+    if photo_refine and data is not None:
+        surface, report["photo_refine"] = refine_on_photos(surface, data.train_frames)
     write_mesh(out, result.similarity.mesh_to_world(surface), result.place)
     return {"vertices": len(surface.vertices), "faces": len(surface.faces), **report}
 

@@ -78,7 +78,7 @@ def refine(
     Returns:
         The report: `psnr`, `ssim` and `views` of the held-out views, `vertices`, `faces`, `gaussians` (those `bound` to
         the mesh and those `free`), `steps`, `train_seconds`, `taken_out` of the mesh before it was refined, and
-        `settled`, the report of `gsjax.meshing.photo_refine.refine_on_photos` (None without one, and after
+        `photo_refine`, the report of `gsjax.meshing.photo_refine.refine_on_photos` (None without one, and after
         a resume beyond it).
 
     Raises:
@@ -194,7 +194,7 @@ def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
             capacity=capacity,
         )
     summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": task.taken_out}
-    return state.gaussians, summary | {"settled": photo_report or None}
+    return state.gaussians, summary | {"photo_refine": photo_report or None}
 
 
 def _background(task: _Task) -> str:

@@ -42,11 +42,11 @@ def scaled(settings: Settings, factor: float) -> Settings:
 
     every, named = settings.density.every, ("start", "stop", "reset_every")
     density = replace(settings.density, **{name: times(getattr(settings.density, name)) for name in named})
-    # Gaussians that moved by error need steps to settle; 3DGS's rule grows more of them, the more often it is applied.
-    settling = (density.stop - density.start) // FEWEST_ROUNDS if density.rule == "error" else 0
+    # Gaussians that moved by error need steps until they fit; 3DGS's rule grows more by more rounds.
+    shortest = (density.stop - density.start) // FEWEST_ROUNDS if density.rule == "error" else 0
     return settings.replace(
         rates=replace(settings.rates, decay_steps=times(settings.rates.decay_steps)),
-        density=replace(density, every=min(every, max(SHORTEST_INTERVAL, round(factor * every), settling))),
+        density=replace(density, every=min(every, max(SHORTEST_INTERVAL, round(factor * every), shortest))),
         schedule={
             "phases": tuple(replace(phase, steps=times(phase.steps)) for phase in settings.schedule.phases),
             "sh_every": times(settings.schedule.sh_every),

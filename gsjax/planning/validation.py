@@ -11,6 +11,7 @@ import numpy as np
 from gsjax.config import parse
 from gsjax.effects import sky, transients
 from gsjax.effects.simulation import NO_EFFECTS, Effects
+from gsjax.metrics.images import in_decibels
 from gsjax.presets import QUICK
 from gsjax.scene import Frame
 from gsjax.settings import Settings, Supervision
@@ -170,7 +171,7 @@ def compared(
     for before, after, error, pixels in zip(*both, least, scored, strict=True):
         counted = pixels & (error <= most)
         if counted.any():
-            gains.append(_decibels(after[counted]) - _decibels(before[counted]))
+            gains.append(float(in_decibels(after[counted].mean()) - in_decibels(before[counted].mean())))
     return Validated(*mean_and_error(gains)) if len(gains) > 1 else Validated(0.0, 0.0)
 
 
@@ -187,7 +188,3 @@ def _fitted(
 def _errors(pictures: Sequence[np.ndarray], photos: Sequence[np.ndarray]) -> list[np.ndarray]:
     """`[H, W]` mean squared differences of the channels."""
     return [np.square(np.clip(p, 0, 1) - photo).mean(-1) for p, photo in zip(pictures, photos, strict=True)]
-
-
-def _decibels(errors: np.ndarray) -> float:
-    return float(-10 * np.log10(max(errors.mean(), 1e-10)))

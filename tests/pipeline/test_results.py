@@ -27,7 +27,10 @@ def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tm
     report = pipeline.mesh(run, tmp_path / "mesh.ply", level=0.1, points=5000)
     mesh = read_mesh(tmp_path / "mesh.ply")
     assert len(mesh.faces) == report["faces"] > 100
-    assert report["settled"]["after"] < report["settled"]["before"] and report["settled"]["seen_share"] > 0.5
+    assert (
+        report["photo_refine"]["after"] < report["photo_refine"]["before"]
+        and report["photo_refine"]["seen_share"] > 0.5
+    )
     # Fewer than thirty steps on photos of forty pixels: near the surface, not on it.
     figures = pipeline.evaluate(run, mesh=tmp_path / "mesh.ply", lpips=[small_lpips(tmp_path / "vgg.onnx")[0]])
     json.dumps(figures)
@@ -46,10 +49,10 @@ def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp
     )
     options = {"level": 0.1, "points": 5000}
     report = pipeline.mesh(moved, tmp_path / "mesh.ply", **options)
-    assert report["settled"] is None
+    assert report["photo_refine"] is None
     told = f"mesh: goes on without its photos: {moved}: its data set is no longer in {tmp_path / 'gone'}; "
     assert told in capsys.readouterr().err
-    assert pipeline.mesh(run, tmp_path / "asked.ply", settled=False, **options) == report
+    assert pipeline.mesh(run, tmp_path / "asked.ply", photo_refine=False, **options) == report
     assert (tmp_path / "asked.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
 
 

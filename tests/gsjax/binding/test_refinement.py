@@ -26,7 +26,7 @@ from gsjax.training.terms import TERMS, Term
 
 EXTENT = 4.0
 SETTINGS = Refinement(
-    steps=200, sh_degree=0, thickness=2e-3, settle_at=0.8, seed=1, rates=RefinementRates(vertices=1e-3)
+    steps=200, sh_degree=0, thickness=2e-3, photo_refine_at=0.8, seed=1, rates=RefinementRates(vertices=1e-3)
 )
 RAISED = np.array([[0, 0, 1e-3]], np.float32)
 EYES = [(0.0, -1.5, 0.0), (1.6, 0.8, 0.5), (-1.6, 0.8, 0.5), (1.2, -1.0, 1.5), (-1.2, -1.0, 1.5), (0.1, 1.7, 0.3)]
@@ -75,13 +75,13 @@ def started(scene, free=None):
 
 
 def refined(scene, *, capacity, state=None):
-    progress, settled = [], []
+    progress, refined = [], []
 
     def observe(one):
         progress.append(one._replace(state=jax.tree.map(np.array, one.state)))
 
     def raised(bound):
-        settled.append(bound)
+        refined.append(bound)
         return replace(bound, vertices=bound.vertices + RAISED)
 
     fresh, optimizer = started(scene)
@@ -97,7 +97,7 @@ def refined(scene, *, capacity, state=None):
         move_mesh=raised,
         capacity=capacity,
     )
-    return SimpleNamespace(final=jax.tree.map(np.asarray, final), progress=progress, settled=settled)
+    return SimpleNamespace(final=jax.tree.map(np.asarray, final), progress=progress, refined=refined)
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_refinement_brings_the_mesh_to_the_truth(scene, whole):
 def test_the_mesh_is_moved_once_and_then_its_gaussians_alone_are_trained(whole):
     bounds = [p.state.gaussians.bound for p in whole.progress]
     moving = SETTINGS.moving_steps
-    assert (len(bounds), moving, len(whole.settled)) == (200, 160, 1)
+    assert (len(bounds), moving, len(whole.refined)) == (200, 160, 1)
     before, after, last = bounds[moving - 2], bounds[moving - 1], bounds[-1]
     np.testing.assert_array_equal(last.vertices, after.vertices)
     assert_close(
@@ -145,7 +145,7 @@ def test_the_loss_is_the_weighted_sum_of_its_terms(whole):
 def test_a_refinement_that_was_stopped_goes_on_to_the_same_bits(scene, whole):
     stopped = whole.progress[194]
     again = refined(scene, state=stopped.state, capacity=stopped.capacity)
-    assert not again.settled
+    assert not again.refined
     assert stopped.capacity > 64
     assert [p.step for p in again.progress] == list(range(196, 201))
     jax.tree.map(np.testing.assert_array_equal, again.final, whole.final)
@@ -281,8 +281,8 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
         ({"opacity": 1.0}, "opacity=1.0"),
         ({"thickness": 0.0}, "thickness=0.0"),
         ({"halved_share": 1.0}, "halved_share=1.0 is not at least 0 and below 1"),
-        ({"settle_at": 0.0}, "settle_at=0.0 is not above 0 and at most 1"),
-        ({"settle_at": 1.2}, "settle_at=1.2 is not above 0 and at most 1"),
+        ({"photo_refine_at": 0.0}, "photo_refine_at=0.0 is not above 0 and at most 1"),
+        ({"photo_refine_at": 1.2}, "photo_refine_at=1.2 is not above 0 and at most 1"),
         ({"rates": {"vertices": 0.0}}, "rates: vertices_final=1.6e-06 is not between 0 and vertices=0.0"),
         ({"rates": {"final_share": 0.0}}, "rates: final_share=0.0 is not above 0 and at most 1"),
     ],

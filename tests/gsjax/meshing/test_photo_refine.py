@@ -1,4 +1,4 @@
-"""A mesh settles on photos of a plane whose colours are a formula: what its vertices must come to is known exactly."""
+"""A mesh is refined on photos of a plane whose colours are a formula: the right vertices are known exactly."""
 
 import numpy as np
 import pytest
@@ -43,11 +43,11 @@ def frames():
 
 @pytest.mark.parametrize("offset", [-1.0, 0.6])
 def test_a_sheet_beside_the_plane_comes_to_lie_in_it(frames, offset):
-    settled, report = refine_on_photos(sheet(offset * PIXEL), frames)
-    away = np.abs(settled.vertices[:, 2]) / PIXEL
+    refined, report = refine_on_photos(sheet(offset * PIXEL), frames)
+    away = np.abs(refined.vertices[:, 2]) / PIXEL
     # From 0.6 and 1 pixel. Photos are rounded to 8 bits and read bilinearly: a twentieth of a pixel stays.
     assert np.median(away) < 0.05 and np.quantile(away, 0.95) < 0.15
-    np.testing.assert_allclose(settled.vertices[:, :2], sheet(0).vertices[:, :2], atol=1e-4)
+    np.testing.assert_allclose(refined.vertices[:, :2], sheet(0).vertices[:, :2], atol=1e-4)
     assert report["seen_share"] == 1.0
     assert report["moved_px"] == pytest.approx(abs(offset), abs=0.1)
     assert report["after"] < 0.5 * report["before"]
@@ -56,8 +56,8 @@ def test_a_sheet_beside_the_plane_comes_to_lie_in_it(frames, offset):
 def test_a_bump_is_levelled(frames):
     x = np.linspace(-1, 1, 25)
     bump = 0.8 * PIXEL * np.exp(-4 * (x[:, None] ** 2 + x**2))
-    settled, _ = refine_on_photos(sheet(bump), frames)
-    assert np.abs(settled.vertices[:, 2]).max() < 0.25 * PIXEL  # Of 0.8; measured 0.21: it is stiff.
+    refined, _ = refine_on_photos(sheet(bump), frames)
+    assert np.abs(refined.vertices[:, 2]).max() < 0.25 * PIXEL  # Of 0.8; measured 0.21: it is stiff.
 
 
 def test_photos_may_be_lighter_and_darker(frames):
@@ -70,8 +70,8 @@ def test_photos_may_be_lighter_and_darker(frames):
 
 def test_where_photos_say_nothing_a_sheet_stays():
     plain = [photo(eye, lambda x, y: np.full((*x.shape, 3), 0.4)) for eye in EYES]
-    settled, report = refine_on_photos(sheet(0.6 * PIXEL), plain)
-    np.testing.assert_allclose(settled.vertices, sheet(0.6 * PIXEL).vertices, atol=1e-6)
+    refined, report = refine_on_photos(sheet(0.6 * PIXEL), plain)
+    np.testing.assert_allclose(refined.vertices, sheet(0.6 * PIXEL).vertices, atol=1e-6)
     assert report["before"] < 0.01
 
 
@@ -79,9 +79,9 @@ def test_what_has_no_texture_follows_what_has(frames):
     def half(x, y):
         return np.where(x[..., None] > 0, texture(x, y), 0.5)
 
-    settled, _ = refine_on_photos(sheet(0.6 * PIXEL), [photo(eye, half) for eye in EYES])
-    plain = settled.vertices[:, 0] < -0.2
-    assert np.abs(settled.vertices[plain, 2]).max() < 0.3 * PIXEL
+    refined, _ = refine_on_photos(sheet(0.6 * PIXEL), [photo(eye, half) for eye in EYES])
+    plain = refined.vertices[:, 0] < -0.2
+    assert np.abs(refined.vertices[plain, 2]).max() < 0.3 * PIXEL
 
 
 @pytest.mark.parametrize("kind", ["valid", "matte"])
@@ -93,14 +93,14 @@ def test_masked_pixels_and_hidden_sheets_tell_nothing(frames, kind):
 
     front, back = sheet(0.0), sheet(0.5)
     both = concatenate_meshes([front, back])
-    settled, report = refine_on_photos(both, frames)
+    refined, report = refine_on_photos(both, frames)
     hidden = np.abs(back.vertices[:, :2]).max(axis=1) < 0.4  # From every camera the front is before these.
-    np.testing.assert_array_equal(settled.vertices[front.num_vertices :][hidden], back.vertices[hidden])
+    np.testing.assert_array_equal(refined.vertices[front.num_vertices :][hidden], back.vertices[hidden])
     assert 0.5 <= report["seen_share"] < 0.8
 
 
 def test_two_photos_are_no_evidence(frames):
     mesh = sheet(0.6 * PIXEL)
-    settled, report = refine_on_photos(mesh, frames[:2])
-    np.testing.assert_array_equal(settled.vertices, mesh.vertices)
+    refined, report = refine_on_photos(mesh, frames[:2])
+    np.testing.assert_array_equal(refined.vertices, mesh.vertices)
     assert report["seen_share"] == 0

@@ -62,10 +62,10 @@ def test_a_closed_ball_has_no_holes_and_a_cut_one_keeps_its_rim(file, tmp_path, 
         return close(surface, views)
 
     monkeypatch.setitem(mesh.__globals__, "fill_holes", fill_holes)
-    whole = mesh(file, tmp_path / "mesh.ply", method="poisson", holes_filled=True)
+    whole = mesh(file, tmp_path / "mesh.ply", method="poisson", fill_holes=True)
     assert whole["holes"] == {"patches": 0, "closed": 0, "closed_faces": 0}
     box = {"bounds": [-2.0, -2, 0, 2, 2, 2], "foreground_only": True}
-    cut = mesh(file, tmp_path / "mesh.ply", method="tsdf", holes_filled=True, **box)
+    cut = mesh(file, tmp_path / "mesh.ply", method="tsdf", fill_holes=True, **box)
     assert cut["topology"]["boundary_loops"] >= 1
     assert asked == [16, 16], "all views"
 
@@ -104,7 +104,7 @@ def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch
     monkeypatch.setattr(select_method, "silhouettes_of", lambda data: (outline_of_a_ball(0.99),) if mattes else ())
     monkeypatch.setitem(mesh.__globals__, "extract_mesh", extract)
     monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
-    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", keep_floaters=True, settled=False)
+    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", keep_floaters=True, photo_refine=False)
     assert report["method"] == chosen
     assert made == (["poisson", "agreed", "tsdf", "tsdf"] if chosen == "tsdf" else ["poisson"])
     assert {name: one[agrees] > 0.9 for name, one in report["tried"].items()} == (
@@ -213,7 +213,7 @@ def test_auto_renders_each_view_once_and_extracts_at_full_size_once(lumpy, tmp_p
     shares = iter([0.5, 0.9, 0.4])
     witness = Witness("what is known", lambda mesh: {"met": next(shares)}, 0.04)
     monkeypatch.setitem(mesh.__globals__, "evidence_of", lambda *_: witness)
-    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", points=300_000, settled=False)
+    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", points=300_000, photo_refine=False)
     assert report["method"] == "agreed" and report["floaters"] == int(floating)
     assert rendered == ([10, 10] if floating else [10]), "once more without the floaters, if there are any"
     tenth = [(name, 2, 30_000, [0, 9]) for name in ("poisson", "agreed", "tsdf")]
@@ -254,7 +254,7 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
         return np.linalg.norm(np.asarray(gaussians.means) - LUMP, axis=1) < 0.5
 
     def made(**options):
-        report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="tsdf", settled=False, **options)
+        report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="tsdf", photo_refine=False, **options)
         found = read_mesh(tmp_path / "mesh.ply").vertices
         return report["floaters"], int(np.sum(np.linalg.norm(found - LUMP, axis=1) < 0.5))
 
