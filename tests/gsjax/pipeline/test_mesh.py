@@ -15,7 +15,7 @@ from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
-from gsjax.meshing import select_method
+from gsjax.meshing import holes, select_method
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.methods import METHODS, MeshMethod
 from gsjax.meshing.select_method import Witness
@@ -55,13 +55,13 @@ def test_any_ply_becomes_a_mesh_without_cameras(file, method, tmp_path):
 
 def test_a_closed_ball_has_no_holes_and_a_cut_one_keeps_its_rim(file, tmp_path, monkeypatch):
     """Nobody sees a surface where the box cuts the ball, and the views see its inside through the opening."""
-    asked, close = [], mesh.__globals__["fill_holes"]
+    asked, close = [], holes.fill_holes
 
     def fill_holes(surface, views):
         asked.append(len(views))
         return close(surface, views)
 
-    monkeypatch.setitem(mesh.__globals__, "fill_holes", fill_holes)
+    monkeypatch.setattr(holes, "fill_holes", fill_holes)
     whole = mesh(file, tmp_path / "mesh.ply", method="poisson", fill_holes=True)
     assert whole["holes"] == {"patches": 0, "closed": 0, "closed_faces": 0}
     box = {"bounds": [-2.0, -2, 0, 2, 2, 2], "foreground_only": True}
