@@ -106,14 +106,14 @@ np.testing.assert_allclose(gradient, differences, rtol=0.1, atol=1.0)
 
 # %%
 @jax.jit
-def drawn(means):
+def compiled_render(means):
     colors, _, info = rasterization(
         means, quats, scales, opacities, rgb, viewmats, Ks, WIDTH, HEIGHT, capacity=rasterizer.capacity_bucket(8000)
     )
     return colors, info["needed"], info["overflowed"]
 
 
-compiled, needed, overflowed = drawn(means)
+compiled, needed, overflowed = compiled_render(means)
 print(f"{int(needed):,} pairs were needed")
 assert not overflowed
 np.testing.assert_allclose(compiled, colors, atol=1e-5)

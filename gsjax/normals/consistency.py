@@ -22,8 +22,8 @@ SAME_DEPTH = 0.02  # relative difference of depth up to which two pixels show th
 FULL_WEIGHT, ZERO_WEIGHT = 15.0, 25.0  # degrees of error: up to one a normal has weight 1, from the other on weight 0
 LEAST_EVIDENCE = 0.1  # of a photo and of a whole set of maps
 OWN_VOTE = 0.5  # weight of a pixel's own normal, of its neighbours' 1
-FEWEST = 100  # pairs of pixels that a photo is judged by
-FEWEST_PHOTOS = 3  # that a set of maps is judged by
+FEWEST = 100  # pairs of pixels that the evidence of a photo needs
+FEWEST_PHOTOS = 3  # with evidence, that a verdict needs
 
 _PROBES = 300  # pixels of a view by which its neighbours are chosen
 _ROUNDS = 6  # of the geometric median
@@ -39,11 +39,11 @@ class View(NamedTuple):
     K: np.ndarray  # [3, 3] pixels of the working size, centres at +0.5
 
 
-class Judged(NamedTuple):
+class PhotoEvidence(NamedTuple):
     """How consistent one photo's map is with its neighbours'."""
 
     confidence: np.ndarray  # [h, w] float32 in 0..1, zero where there is no normal
-    kept: float  # mean confidence over the pixels that have a normal; 0 where there is none
+    mean_confidence: float  # over the pixels that have a normal; 0 where there is none
     evidence: float | None  # 1 - (median disagreement / that of a map which only faces its camera); None: unknown
     noise: float | None  # of the evidence, from one neighbour to the next
     apart: float | None  # median degrees between its normals and theirs; None: unknown
@@ -52,16 +52,16 @@ class Judged(NamedTuple):
 class Verdict(NamedTuple):
     """The decision on a whole set of maps."""
 
-    kept: bool
+    is_accepted: bool
     evidence: float | None  # median of the photos'; None: cannot be judged
     noise: float | None  # of that median
-    threshold: float  # `kept` needs more, by the noise
-    share: float  # of the known pixels, mean confidence after the verdict
+    threshold: float  # `evidence` minus `noise` of an accepted set is above it
+    share: float  # mean confidence after the verdict, over all pixels that have a normal
     rejected: tuple[int, ...]  # photos that are left out whole
     note: str
 
 
-def thinned(normals: np.ndarray, depth: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> View:
+def thinned_view(normals: np.ndarray, depth: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> View:
     """Return a `View` of every n-th pixel of a map `[H, W, 3]`, of any length but zero, and of its depth `[H, W]`."""
     stride = stride_of(depth.shape)
     first = stride // 2
@@ -72,13 +72,13 @@ def thinned(normals: np.ndarray, depth: np.ndarray, viewmat: np.ndarray, K: np.n
 
 
 def stride_of(shape: Sequence[int]) -> int:
-    """Return the n of `thinned` for a view `[H, W]`."""
+    """Return the n of `thinned_view` for a view `[H, W]`."""
     return max(1, -(-max(shape[:2]) // LONGEST))
 
 
-def judge(
+def judge_maps(
     views: Sequence[View], *, progress: Callable[[Iterable[int]], Iterable[int]] = iter
-) -> tuple[list[Judged], Verdict]:
+) -> tuple[list[PhotoEvidence], Verdict]:
     """Compare every view with its neighbours.
 
     Args:
@@ -86,16 +86,16 @@ def judge(
         progress: Wraps the photos' numbers, for a bar.
 
     Returns:
-        One `Judged` a photo, with confidence zero for photos and sets that are rejected; and the `Verdict`.
+        One `PhotoEvidence` a photo, with confidence zero for rejected photos and sets; and the `Verdict`.
     """
     points = [_world_points(view) for view in views]
-    beside = _neighbors(views, points)
-    judged = [_judge_view(index, views, points, beside[index]) for index in progress(range(len(views)))]
-    verdict = _verdict(judged, views)
-    out = [*range(len(views))] if not verdict.kept else verdict.rejected
-    for index in out:
-        judged[index] = judged[index]._replace(confidence=np.zeros_like(judged[index].confidence), kept=0.0)
-    return judged, verdict
+    neighbors = _neighbors(views, points)
+    photos = [_photo_evidence(index, views, points, neighbors[index]) for index in progress(range(len(views)))]
+    verdict = _verdict(photos, views)
+    for index in verdict.rejected if verdict.is_accepted else range(len(views)):
+        zero = np.zeros_like(photos[index].confidence)
+        photos[index] = photos[index]._replace(confidence=zero, mean_confidence=0.0)
+    return photos, verdict
 
 
 def share_compared(apart: float | None) -> float:
@@ -106,7 +106,7 @@ def share_compared(apart: float | None) -> float:
     stand side by side even a flat floor has none.
 
     Args:
-        apart: Of the photo's `Judged`; None: unknown, the photo is compared in all steps.
+        apart: Of the photo's `PhotoEvidence`; None: unknown, the photo is compared in all steps.
 
     Returns:
         From 0, at `ZERO_WEIGHT` degrees and more, to 1, up to `FULL_WEIGHT` degrees.
@@ -151,48 +151,50 @@ def _towards(view: View, points: np.ndarray) -> np.ndarray:
 def _neighbors(views: Sequence[View], points: Sequence[np.ndarray]) -> list[list[int]]:
     """Return for every view the others that show most of it from a direction that differs enough."""
     rng = np.random.default_rng(0)
-    chosen = []
+    neighbors = []
     for index, view in enumerate(views):
-        known = points[index][(view.depth > 0) & np.any(view.normals, axis=-1)]
-        probes = known[rng.permutation(len(known))[:_PROBES]]
+        observed = points[index][(view.depth > 0) & np.any(view.normals, axis=-1)]
+        probes = observed[rng.permutation(len(observed))[:_PROBES]]
         scores = np.zeros(len(views))
         for other, there in enumerate(views):
             if other == index or not len(probes):
                 continue
-            shown = _landing(probes, there)[2]
-            angles = _degrees_between(_towards(view, probes), _towards(there, probes))[shown]
+            visible = _landing(probes, there)[2]
+            angles = _degrees_between(_towards(view, probes), _towards(there, probes))[visible]
             scores[other] = np.sum(np.where(angles < WIDEST, np.minimum(angles / GOOD_ANGLE, 1), 0)) / len(probes)
         best = np.argsort(-scores, kind="stable")[:NEIGHBORS]
-        chosen.append([int(other) for other in best if scores[other] > 0])
-    return chosen
+        neighbors.append([int(other) for other in best if scores[other] > 0])
+    return neighbors
 
 
-def _judge_view(index: int, views: Sequence[View], points: Sequence[np.ndarray], beside: Sequence[int]) -> Judged:
+def _photo_evidence(
+    index: int, views: Sequence[View], points: Sequence[np.ndarray], neighbors: Sequence[int]
+) -> PhotoEvidence:
     view = views[index]
-    known = np.any(view.normals, axis=-1)
-    carried = known & (view.depth > 0)
-    place = points[index][carried]
-    own = (view.normals @ view.viewmat[:3, :3])[carried]
-    others, shown, apart, chance = [], [], [], []
-    for other in beside:
+    has_normal = np.any(view.normals, axis=-1)
+    has_depth = has_normal & (view.depth > 0)
+    place = points[index][has_depth]
+    own = (view.normals @ view.viewmat[:3, :3])[has_depth]
+    others, visible_in, apart, chance = [], [], [], []
+    for other in neighbors:
         there = views[other]
         row, column, visible = _landing(place, there)
         normals = (there.normals @ there.viewmat[:3, :3])[row, column]
         others.append(normals)
-        shown.append(visible & np.any(normals, axis=-1))
+        visible_in.append(visible & np.any(normals, axis=-1))
         apart.append(_degrees_between(own, normals))
         chance.append(_degrees_between(_towards(view, place), _towards(there, place)))
-    if not others or not np.any(shown):
-        return Judged(known.astype(np.float32), float(known.any()), None, None, None)
-    others, shown, apart, chance = map(np.stack, (others, shown, apart, chance))
-    error = np.full(known.shape, np.nan)
-    error[carried] = _error(own, others, shown, apart)
-    confidence = _filled(np.clip((ZERO_WEIGHT - error) / (ZERO_WEIGHT - FULL_WEIGHT), 0, 1)) * known
-    kept = float(confidence[known].mean()) if known.any() else 0.0
-    return Judged(confidence.astype(np.float32), kept, *_agreement(apart, chance, shown))
+    if not others or not np.any(visible_in):
+        return PhotoEvidence(has_normal.astype(np.float32), float(has_normal.any()), None, None, None)
+    others, visible_in, apart, chance = map(np.stack, (others, visible_in, apart, chance))
+    error = np.full(has_normal.shape, np.nan)
+    error[has_depth] = _error(own, others, visible_in, apart)
+    confidence = _filled(np.clip((ZERO_WEIGHT - error) / (ZERO_WEIGHT - FULL_WEIGHT), 0, 1)) * has_normal
+    mean = float(confidence[has_normal].mean()) if has_normal.any() else 0.0
+    return PhotoEvidence(confidence.astype(np.float32), mean, *_agreement(apart, chance, visible_in))
 
 
-def _error(own: np.ndarray, others: np.ndarray, shown: np.ndarray, apart: np.ndarray) -> np.ndarray:
+def _error(own: np.ndarray, others: np.ndarray, visible: np.ndarray, apart: np.ndarray) -> np.ndarray:
     """Estimate `[P]` degrees of error of a pixel's normal; NaN where no neighbour shows it.
 
     The larger of two estimates for independent errors: the angle to the geometric median of the neighbours' normals
@@ -202,16 +204,16 @@ def _error(own: np.ndarray, others: np.ndarray, shown: np.ndarray, apart: np.nda
     Args:
         own: `[P, 3]` world normals of the pixels.
         others: `[M, P, 3]` of the neighbours at the same places.
-        shown: `[M, P]` bool, where a neighbour shows the place and has a normal.
+        visible: `[M, P]` bool, where a neighbour shows the place and has a normal.
         apart: `[M, P]` degrees between the two.
     """
-    seen = shown.any(axis=0)
-    votes = np.concatenate([shown, np.full((1, len(own)), OWN_VOTE)])
+    observed = visible.any(axis=0)
+    votes = np.concatenate([visible, np.full((1, len(own)), OWN_VOTE)])
     middle = _geometric_median(np.concatenate([others, own[None]]), votes)
-    ranked = np.sort(np.where(shown, apart, np.inf), axis=0)
-    lower_median = np.take_along_axis(ranked, np.maximum((shown.sum(axis=0) - 1) // 2, 0)[None], axis=0)[0]
+    ranked = np.sort(np.where(visible, apart, np.inf), axis=0)
+    lower_median = np.take_along_axis(ranked, np.maximum((visible.sum(axis=0) - 1) // 2, 0)[None], axis=0)[0]
     error = np.maximum(_degrees_between(own, middle), lower_median / np.sqrt(2))
-    return np.where(seen, error, np.nan)
+    return np.where(observed, error, np.nan)
 
 
 def _geometric_median(directions: np.ndarray, counted: np.ndarray) -> np.ndarray:
@@ -225,16 +227,16 @@ def _geometric_median(directions: np.ndarray, counted: np.ndarray) -> np.ndarray
 
 
 def _agreement(
-    apart: np.ndarray, chance: np.ndarray, shown: np.ndarray
+    apart: np.ndarray, chance: np.ndarray, visible: np.ndarray
 ) -> tuple[float | None, float | None, float | None]:
-    """Return `evidence`, `noise` and `apart` of `Judged`: consistency against that of maps that only face cameras.
+    """Return `evidence`, `noise` and `apart` of a photo: its consistency, compared with maps that only face cameras.
 
     Args:
         apart: `[M, P]` degrees between the normals of two views.
         chance: `[M, P]` degrees between the directions to their cameras.
-        shown: `[M, P]` which of them count.
+        visible: `[M, P]` bool, where a neighbour shows the place and has a normal.
     """
-    counted = shown & (chance > LEAST_ANGLE)
+    counted = visible & (chance > LEAST_ANGLE)
     if counted.sum() < FEWEST:
         return None, None, None
     each = [
@@ -257,29 +259,29 @@ def _filled(confidence: np.ndarray) -> np.ndarray:
     return np.where(observed, values, around)
 
 
-def _verdict(judged: Sequence[Judged], views: Sequence[View]) -> Verdict:
-    known = [
-        (index, each.evidence, each.noise or 0.0) for index, each in enumerate(judged) if each.evidence is not None
+def _verdict(photos: Sequence[PhotoEvidence], views: Sequence[View]) -> Verdict:
+    photo_values = [
+        (index, photo.evidence, photo.noise or 0.0) for index, photo in enumerate(photos) if photo.evidence is not None
     ]
     areas = np.array([float(np.any(view.normals, axis=-1).sum()) for view in views])
-    kept = np.array([each.kept for each in judged])
+    means = np.array([photo.mean_confidence for photo in photos])
     empty = int((areas == 0).sum())
     lacks = empty >= max(len(views) / 2, 1)
     lacking = f", {empty} of {len(views)} have no normals" if empty else ""
     lacking += " (fewer than half may lack them)" if lacks else ""
-    if len(known) < FEWEST_PHOTOS:
-        why = f"cannot be judged: {len(known)} photos show enough of others from another direction{lacking}"
-        return Verdict(not lacks, None, None, LEAST_EVIDENCE, 0.0 if lacks else _share(kept, areas), (), why)
-    values = np.array([evidence for _, evidence, _ in known])
+    if len(photo_values) < FEWEST_PHOTOS:
+        why = f"cannot be judged: {len(photo_values)} photos show enough of others from another direction{lacking}"
+        return Verdict(not lacks, None, None, LEAST_EVIDENCE, 0.0 if lacks else _share(means, areas), (), why)
+    values = np.array([evidence for _, evidence, _ in photo_values])
     middle = float(np.median(values))
     noise = float(1.4826 * np.median(np.abs(values - middle)) / np.sqrt(len(values)))
-    rejected = tuple(index for index, evidence, off in known if evidence + off < LEAST_EVIDENCE)
-    is_kept = middle - noise > LEAST_EVIDENCE and not lacks
-    kept[list(rejected)] = 0
-    share = _share(kept, areas) if is_kept else 0.0
-    note = f"{len(rejected)} of {len(known)} photos rejected{lacking}"
-    return Verdict(is_kept, middle, noise, LEAST_EVIDENCE, share, rejected, note)
+    rejected = tuple(index for index, evidence, off in photo_values if evidence + off < LEAST_EVIDENCE)
+    is_accepted = middle - noise > LEAST_EVIDENCE and not lacks
+    means[list(rejected)] = 0
+    share = _share(means, areas) if is_accepted else 0.0
+    note = f"{len(rejected)} of {len(photo_values)} photos rejected{lacking}"
+    return Verdict(is_accepted, middle, noise, LEAST_EVIDENCE, share, rejected, note)
 
 
-def _share(kept: np.ndarray, areas: np.ndarray) -> float:
-    return float(np.sum(kept * areas) / max(float(areas.sum()), 1.0))
+def _share(means: np.ndarray, areas: np.ndarray) -> float:
+    return float(np.sum(means * areas) / max(float(areas.sum()), 1.0))

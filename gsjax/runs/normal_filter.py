@@ -16,7 +16,7 @@ from gsjax.io.arrays import read_arrays
 from gsjax.io.files import atomic_path
 from gsjax.io.messages import first_names
 from gsjax.io.normal_maps import normal_maps
-from gsjax.normals.consistency import Judged, Verdict, View, full_size, judge, stride_of, thinned
+from gsjax.normals.consistency import PhotoEvidence, Verdict, View, full_size, judge_maps, stride_of, thinned_view
 from gsjax.normals.sparse_depth import sparse_depth
 from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.records import NUMBER
@@ -39,7 +39,7 @@ def filter_normals(
 ) -> list[np.ndarray]:
     """Scale the maps of a run by the confidence of each normal: lengths from 0 to 127.
 
-    Confidences are judged once and kept in `folder`, so that a resumed run has the same numbers.
+    Confidences are computed once and stored in `folder`, so that a resumed run has the same numbers.
 
     Args:
         folder: Exists; gets `confidence.npz` and `gate.json`.
@@ -57,13 +57,13 @@ def filter_normals(
     if not file.is_file():
         cameras = [frame_camera(frame) for frame in frames]
         pictures = gallery.pictures(gaussians, cameras, BACKGROUND_COLORS["black"], depth_mode)
-        drawn = zip(maps, pictures, frames, strict=True)
-        views = [thinned(normals, picture.depth, frame.viewmat, frame.K) for normals, picture, frame in drawn]
-        judged, verdict = _judge(views)
+        triples = zip(maps, pictures, frames, strict=True)
+        views = [thinned_view(normals, picture.depth, frame.viewmat, frame.K) for normals, picture, frame in triples]
+        evidence, verdict = _evidence(views)
         verdict = with_names(verdict, frames)
-        json_files.write(folder / VERDICT, record(judged, verdict, frames))
+        json_files.write(folder / VERDICT, record(evidence, verdict, frames))
         with atomic_path(file) as temporary:
-            confidences = {str(index): np.rint(255 * one.confidence) for index, one in enumerate(judged)}
+            confidences = {str(index): np.rint(255 * one.confidence) for index, one in enumerate(evidence)}
             np.savez_compressed(temporary, **{name: each.astype(np.uint8) for name, each in confidences.items()})
         notify(verdict_line(verdict))
     confidences = read_arrays(file)
@@ -76,7 +76,7 @@ def filter_normals(
 def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | None]:
     """Read how many degrees each photo's normals are from its neighbours', as `filter_normals` stored it.
 
-    None where it could not judge, or is of an earlier version.
+    None where it could not judge, or where the file is of an earlier version.
 
     Raises:
         InputError: The file is missing or damaged, or lacks a photo.
@@ -87,7 +87,7 @@ def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | 
 
 
 def score_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
-    """Judge a folder of maps by the depth of planes through the tracks' points; returns the `record`.
+    """Judge a folder of maps by the depth of planes through the tracks' points, and return the `record`.
 
     Raises:
         InputError: A map is missing or damaged, or the tracks cannot be read.
@@ -97,27 +97,29 @@ def score_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
         _tracked_view(frame, readers[frame.name](), scene.points, tracks.get(frame.name))
         for frame in tqdm(scene.frames, desc=Path(folder).name, unit="map", leave=False)
     ]
-    judged, verdict = _judge(views)
-    return record(judged, with_names(verdict, scene.frames), scene.frames)
+    evidence, verdict = _evidence(views)
+    return record(evidence, with_names(verdict, scene.frames), scene.frames)
 
 
-def record(judged: Sequence[Judged], verdict: Verdict, frames: Sequence[Frame]) -> dict[str, Any]:
-    """Plain values for a file: the verdict on all maps, and each photo's figures as in `Judged`, and `rejected`."""
+def record(evidence: Sequence[PhotoEvidence], verdict: Verdict, frames: Sequence[Frame]) -> dict[str, Any]:
+    """Return plain values for a file: the verdict on all maps, and the figures of each photo."""
     return {
-        **{name: value for name, value in verdict._asdict().items() if name != "rejected"},
+        "kept": verdict.is_accepted,
+        **{name: getattr(verdict, name) for name in ("evidence", "noise", "threshold", "share", "note")},
         "photos": {
             frame.name: {
-                **{name: value for name, value in one._asdict().items() if name != "confidence"},
-                "rejected": not one.kept,
+                "kept": photo.mean_confidence,
+                **{name: getattr(photo, name) for name in ("evidence", "noise", "apart")},
+                "rejected": not photo.mean_confidence,
             }
-            for frame, one in zip(frames, judged, strict=True)
+            for frame, photo in zip(frames, evidence, strict=True)
         },
     }
 
 
 def verdict_line(verdict: Verdict) -> str:
     """Return the verdict as one line."""
-    decision = f"{100 * verdict.share:.0f} % of the normals count" if verdict.kept else "no normal counts"
+    decision = f"{100 * verdict.share:.0f} % of the normals count" if verdict.is_accepted else "no normal counts"
     if verdict.evidence is None:
         return f"{decision}: {verdict.note}"
     return (
@@ -133,14 +135,16 @@ def with_names(verdict: Verdict, frames: Sequence[Frame]) -> Verdict:
     return verdict._replace(note=f"{verdict.note}: {first_names([frames[index].name for index in verdict.rejected])}")
 
 
-def _judge(views: Sequence[View]) -> tuple[list[Judged], Verdict]:
-    return judge(views, progress=lambda numbers: tqdm(numbers, desc="filter of normals", unit="photo", leave=False))
+def _evidence(views: Sequence[View]) -> tuple[list[PhotoEvidence], Verdict]:
+    return judge_maps(
+        views, progress=lambda numbers: tqdm(numbers, desc="filter of normals", unit="photo", leave=False)
+    )
 
 
 def _tracked_view(
     frame: Frame, normals: np.ndarray, points: np.ndarray, tracked: tuple[np.ndarray, np.ndarray] | None
 ) -> View:
-    view = thinned(normals, np.zeros(normals.shape[:2]), frame.viewmat, frame.K)
+    view = thinned_view(normals, np.zeros(normals.shape[:2]), frame.viewmat, frame.K)
     if tracked is None:
         return view
     indices, rays = tracked

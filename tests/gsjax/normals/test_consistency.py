@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from tolerances import assert_close
 
 from gsjax.normals import consistency
-from gsjax.normals.consistency import LONGEST, View, full_size, judge, share_compared, stride_of, thinned
+from gsjax.normals.consistency import LONGEST, View, full_size, judge_maps, share_compared, stride_of, thinned_view
 from gsjax.normals.sparse_depth import sparse_depth
 from gsjax.scene.cameras import look_at
 
@@ -69,23 +69,23 @@ def turned(normals, rng, degrees):
 
 
 def test_true_normals_are_kept():
-    judged, verdict = judge(VIEWS)
-    assert verdict.kept and verdict.rejected == () and verdict.share > 0.95
+    photos, verdict = judge_maps(VIEWS)
+    assert verdict.is_accepted and verdict.rejected == () and verdict.share > 0.95
     assert verdict.evidence is not None and verdict.evidence > 0.95
-    assert all(np.all(one.confidence[~np.any(v.normals, -1)] == 0) for one, v in zip(judged, VIEWS, strict=True))
+    assert all(np.all(one.confidence[~np.any(v.normals, -1)] == 0) for one, v in zip(photos, VIEWS, strict=True))
 
 
 def test_maps_that_only_face_their_cameras_say_nothing():
-    judged, verdict = judge(with_maps([FACING] * len(VIEWS)))
-    assert not verdict.kept and verdict.share == 0 and abs(verdict.evidence or 1) < 0.1
-    assert not any(one.confidence.any() for one in judged)
+    photos, verdict = judge_maps(with_maps([FACING] * len(VIEWS)))
+    assert not verdict.is_accepted and verdict.share == 0 and abs(verdict.evidence or 1) < 0.1
+    assert not any(one.confidence.any() for one in photos)
 
 
 def test_maps_of_random_directions_are_rejected():
     rng = np.random.default_rng(0)
     noise = [rng.normal(size=(HEIGHT, WIDTH, 3)) for _ in VIEWS]
-    _, verdict = judge(with_maps([n / np.linalg.norm(n, axis=-1, keepdims=True) for n in noise]))
-    assert not verdict.kept and (verdict.evidence or 1) < 0
+    _, verdict = judge_maps(with_maps([n / np.linalg.norm(n, axis=-1, keepdims=True) for n in noise]))
+    assert not verdict.is_accepted and (verdict.evidence or 1) < 0
 
 
 def test_a_fifth_of_every_map_made_wrong_is_found():
@@ -94,46 +94,46 @@ def test_a_fifth_of_every_map_made_wrong_is_found():
     directions = rng.normal(size=(len(VIEWS), 3))
     directions *= -np.sign(directions[:, 2:]) / np.linalg.norm(directions, axis=-1, keepdims=True)
     maps = [np.where(w[..., None], d, v.normals) for w, d, v in zip(wrong, directions, VIEWS, strict=True)]
-    judged, verdict = judge(with_maps(maps))
+    photos, verdict = judge_maps(with_maps(maps))
     angles = [np.degrees(np.arccos(np.clip(v.normals @ d, -1, 1))) for v, d in zip(VIEWS, directions, strict=True)]
-    confidence = np.stack([one.confidence for one in judged])
+    confidence = np.stack([one.confidence for one in photos])
     clearly = np.stack(wrong) & (np.stack(angles) > 30)
     right = ~np.stack(wrong) & np.stack([np.any(v.normals, -1) for v in VIEWS])
-    assert verdict.kept and confidence[clearly].mean() < 0.1 and confidence[right].mean() > 0.85
+    assert verdict.is_accepted and confidence[clearly].mean() < 0.1 and confidence[right].mean() > 0.85
 
 
 def test_smooth_errors_of_twenty_degrees_are_rejected_where_they_are_large():
     rng = np.random.default_rng(2)
     pairs = [turned(view.normals.astype(np.float64), rng, 20) for view in VIEWS]
-    judged, verdict = judge(with_maps([normals for normals, _ in pairs]))
-    confidence, off = np.stack([one.confidence for one in judged]), np.stack([degrees for _, degrees in pairs])
+    photos, verdict = judge_maps(with_maps([normals for normals, _ in pairs]))
+    confidence, off = np.stack([one.confidence for one in photos]), np.stack([degrees for _, degrees in pairs])
     known = np.stack([np.any(v.normals, -1) for v in VIEWS])
-    assert verdict.kept and 0.1 < verdict.share < 0.7
+    assert verdict.is_accepted and 0.1 < verdict.share < 0.7
     assert confidence[known & (off < 10)].mean() > 2 * confidence[known & (off > 30)].mean()
 
 
 def test_one_photo_that_is_wrong_whole_is_named_and_the_others_stay():
     maps = [view.normals for view in VIEWS]
     maps[3] = np.where(np.any(maps[3], -1, keepdims=True), [0.8, 0, -0.6], 0)
-    judged, verdict = judge(with_maps(maps))
-    assert verdict.kept and verdict.rejected == (3,) and verdict.note == "1 of 10 photos rejected"
-    assert not judged[3].confidence.any() and min(one.kept for i, one in enumerate(judged) if i != 3) > 0.85
+    photos, verdict = judge_maps(with_maps(maps))
+    assert verdict.is_accepted and verdict.rejected == (3,) and verdict.note == "1 of 10 photos rejected"
+    assert not photos[3].confidence.any() and min(one.mean_confidence for i, one in enumerate(photos) if i != 3) > 0.85
 
 
 def test_without_depth_or_others_nothing_is_judged_and_all_stays():
     blind = [view._replace(depth=0 * view.depth) for view in VIEWS]
     for views in (VIEWS[:1], blind):
-        judged, verdict = judge(views)
-        assert verdict.kept and verdict.evidence is None and "cannot be judged" in verdict.note
+        photos, verdict = judge_maps(views)
+        assert verdict.is_accepted and verdict.evidence is None and "cannot be judged" in verdict.note
         assert_close(verdict.share, 1.0)
-        assert np.all(judged[0].confidence == np.any(VIEWS[0].normals, -1))
+        assert np.all(photos[0].confidence == np.any(VIEWS[0].normals, -1))
 
 
 def test_maps_that_are_mostly_empty_are_rejected():
     """As those of a network for depth are, where most photos do not fit."""
     maps = [view.normals if index < 4 else 0 * view.normals for index, view in enumerate(VIEWS)]
-    _, verdict = judge(with_maps(maps))
-    assert not verdict.kept and "6 of 10 have no normals (fewer than half may lack them)" in verdict.note
+    _, verdict = judge_maps(with_maps(maps))
+    assert not verdict.is_accepted and "6 of 10 have no normals (fewer than half may lack them)" in verdict.note
 
 
 @pytest.mark.parametrize("full", [4, 6])
@@ -141,26 +141,26 @@ def test_maps_that_are_mostly_empty_are_rejected_where_the_others_cannot_be_judg
     """Those that have normals look where no other looks."""
     known = [index < full for index in range(len(VIEWS))]
     views = [v._replace(depth=0 * v.depth, normals=v.normals * has) for v, has in zip(VIEWS, known, strict=True)]
-    judged, verdict = judge(views)
+    photos, verdict = judge_maps(views)
     assert verdict.evidence is None and f"{10 - full} of 10 have no normals" in verdict.note
-    assert verdict.kept == (full == 6)
-    assert_close(verdict.share, float(verdict.kept))
-    assert any(one.confidence.any() for one in judged) == verdict.kept
+    assert verdict.is_accepted == (full == 6)
+    assert_close(verdict.share, float(verdict.is_accepted))
+    assert any(one.confidence.any() for one in photos) == verdict.is_accepted
 
 
 def test_every_photo_is_told_how_far_its_normals_are_from_those_of_its_neighbours():
     """One photo's are turned by 12 degrees; the medians of the others hardly notice."""
-    judged, _ = judge(VIEWS)
-    assert max(one.apart for one in judged) < 1
+    photos, _ = judge_maps(VIEWS)
+    assert max(one.apart for one in photos) < 1
     maps = [view.normals for view in VIEWS]
     axis = np.cross(maps[3], [0.3, -0.5, 0.8])
     axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12)
     angle = np.radians(12.0)
     maps[3] = np.cos(angle) * maps[3] + np.sin(angle) * np.cross(axis, maps[3])
-    judged, _ = judge(with_maps(maps))
-    assert abs(judged[3].apart - 12) < 1
-    assert max(one.apart for index, one in enumerate(judged) if index != 3) < 4
-    assert judge(VIEWS[:1])[0][0].apart is None
+    photos, _ = judge_maps(with_maps(maps))
+    assert abs(photos[3].apart - 12) < 1
+    assert max(one.apart for index, one in enumerate(photos) if index != 3) < 4
+    assert judge_maps(VIEWS[:1])[0][0].apart is None
 
 
 @pytest.mark.parametrize(("apart", "share"), [(None, 1), (0, 1), (15, 1), (17.5, 0.75), (25, 0), (60, 0)])
@@ -173,7 +173,7 @@ def test_a_view_at_its_working_size_sees_the_same_places(size):
     width, height = size
     large = K * np.array([[width / WIDTH], [height / HEIGHT], [1]])
     depth, normals, viewmat = seen_from((4.0, 0.5, 2.0), rays_of(width, height, large))
-    view = thinned(np.rint(127 * normals).astype(np.int8), depth, viewmat, large)
+    view = thinned_view(np.rint(127 * normals).astype(np.int8), depth, viewmat, large)
     small_height, small_width = view.depth.shape
     assert max(view.depth.shape) <= LONGEST and (stride_of((height, width)) > 1) == (max(size) > LONGEST)
     again, _, _ = seen_from((4.0, 0.5, 2.0), rays_of(small_width, small_height, view.K))
