@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 SH_C0 = 0.28209479177387814  # Y_0^0, the constant that turns an rgb into a degree-0 coefficient.
 
@@ -26,12 +27,12 @@ class Gaussians:
     A field's name carries its space: `scales(g)` and `opacities(g)` give the linear values.
     """
 
-    means: Array  # [N, 3] world positions, scene units
-    quats: Array  # [N, 4] rotation, (w, x, y, z), any length but zero
-    log_scales: Array  # [N, 3] natural log of the standard deviations along the axes, scene units
-    logit_opacities: Array  # [N] log-odds of the opacity
-    sh_dc: Array  # [N, 1, 3] degree-0 coefficients
-    sh_rest: Array  # [N, (L+1)^2 - 1, 3] coefficients of degrees 1..L
+    means: Float[Array, "N 3"]  # world positions, scene units
+    quats: Float[Array, "N 4"]  # rotation, (w, x, y, z), any length but zero
+    log_scales: Float[Array, "N 3"]  # natural log of the standard deviations along the axes, scene units
+    logit_opacities: Float[Array, "N"]  # log-odds of the opacity
+    sh_dc: Float[Array, "N 1 3"]  # degree-0 coefficients
+    sh_rest: Float[Array, "N M 3"]  # coefficients of degrees 1..L, M = (L+1)^2 - 1
     pixel_filter: PixelFilter = field(default="classic", metadata={"static": True})
 
     @property
@@ -61,13 +62,13 @@ class Gaussians:
         return f"Gaussians({self.num_gaussians} rows, sh_degree={self.sh_degree}, pixel_filter={self.pixel_filter!r})"
 
 
-def scales(gaussians: Gaussians) -> Array:
-    """`[N, 3]` standard deviations along the axes, scene units."""
+def scales(gaussians: Gaussians) -> Float[Array, "N 3"]:
+    """Standard deviations along the axes, scene units."""
     return jnp.exp(gaussians.log_scales)
 
 
-def opacities(gaussians: Gaussians) -> Array:
-    """`[N]` opacities in (0, 1)."""
+def opacities(gaussians: Gaussians) -> Float[Array, "N"]:
+    """Opacities in (0, 1)."""
     return jax.nn.sigmoid(gaussians.logit_opacities)
 
 

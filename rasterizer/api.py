@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float
 
 from rasterizer import _reference
 from rasterizer.arrays import in_float32, takes_arrays, whole_number
@@ -172,13 +173,13 @@ def _behind(backgrounds: Array, num_channels: int, render_mode: RenderMode) -> A
 @takes_arrays
 @maps_over_batches
 def rasterization(
-    means: Array,
-    quats: Array | None,
-    scales: Array | None,
-    opacities: Array,
-    colors: Array | None,
-    viewmats: Array,
-    Ks: Array,
+    means: Float[Array, "... N 3"],
+    quats: Float[Array, "... N 4"] | None,
+    scales: Float[Array, "... N 3"] | None,
+    opacities: Float[Array, "... N"],
+    colors: Float[Array, "... D"] | None,
+    viewmats: Float[Array, "... C 4 4"],
+    Ks: Float[Array, "... C 3 3"],
     width: int,
     height: int,
     *,
@@ -187,24 +188,26 @@ def rasterization(
     radius_clip: float = 0.0,
     eps2d: float = 0.3,
     sh_degree: int | None = None,
-    backgrounds: Array | None = None,
-    masks: Array | None = None,
-    covars: Array | None = None,
+    backgrounds: Float[Array, "... C B"] | Float[Array, ""] | None = None,
+    masks: Bool[Array, "... C tiles_y tiles_x"] | None = None,
+    covars: Float[Array, "... N 3 3"] | None = None,
     render_mode: RenderMode = "RGB",
     rasterize_mode: RasterizeMode = "classic",
     depth_mode: DepthMode = "center",
     camera_model: CameraModelName = "pinhole",
-    radial_coeffs: Array | None = None,
+    radial_coeffs: Float[Array, "... C 4"] | None = None,
     return_median_depth: bool = False,
     return_normals: bool = False,
-    means2d_probe: Array | None = None,
-    absgrad: Array | bool = False,
+    means2d_probe: Float[Array, "... C N 2"] | None = None,
+    absgrad: Float[Array, "... C N 2"] | bool = False,
     tile_size: int | None = None,
     capacity: int | None = None,
     backend: Backend = "auto",
     rules: Rules = GSPLAT,
-) -> tuple[Array, Array, Info]:
+) -> tuple[Float[Array, "... C {height} {width} X"], Float[Array, "... C {height} {width} 1"], Info]:
     """Render N Gaussians into C cameras.
+
+    The leading dimensions of `means` are those of several scenes. An array without them is the same for all scenes.
 
     Arrays are JAX's or numpy's of any real dtype, or lists of numbers. Tiles are computed in float32, and the reference
     in the dtype of `means` (float64, else float32). A gradient has the dtype of the array that was passed.
@@ -212,14 +215,14 @@ def rasterization(
     backgrounds); the rest is static, a new value compiles anew. Camera matrices are traced: a new camera does not.
 
     Args:
-        means: `[N, 3]` world positions.
-        quats: `[N, 4]` rotations (w, x, y, z), any length; None with `covars`.
-        scales: `[N, 3]` standard deviations, linear; None with `covars`.
-        opacities: `[N]` in 0..1.
+        means: World positions.
+        quats: Rotations (w, x, y, z), any length; None with `covars`.
+        scales: Standard deviations, linear; None with `covars`.
+        opacities: In 0..1.
         colors: `[N, D]` or `[C, N, D]` channels of any meaning, or SH coefficients `[N, K, 3]` with `sh_degree`;
             may be None where only depth is rendered.
-        viewmats: `[C, 4, 4]` world to camera, OpenCV axes (x right, y down, z forward).
-        Ks: `[C, 3, 3]` pixels; pixel centres at +0.5.
+        viewmats: World to camera, OpenCV axes (x right, y down, z forward).
+        Ks: Pixels; pixel centres at +0.5.
         width: Image width in pixels.
         height: Image height in pixels.
         near_plane: Gaussians at or nearer than this camera z are culled.
@@ -227,10 +230,10 @@ def rasterization(
         radius_clip: Gaussians whose radii are both at most this are culled, pixels.
         eps2d: Added to both variances of a splat, pixels^2 (the low-pass filter of 3DGS).
         sh_degree: Degree of the harmonics in `colors`, 0 to 4; None where colors are colours.
-        backgrounds: `[C, X]` blended under each image; or `[C, D]`, those of the colours alone: depth then has zero.
+        backgrounds: Blended under each image: X channels, or those of the colours alone, and depth then has zero.
             A number stands for all channels of the colours; for the depth where there is nothing else.
-        masks: `[C, tiles_y, tiles_x]` bool; a tile that is False is not rendered: background, alpha 0.
-        covars: `[N, 3, 3]` symmetric covariances in place of quats and scales.
+        masks: A tile that is False is not rendered: background, alpha 0.
+        covars: Symmetric covariances in place of quats and scales.
         render_mode: What X holds: "RGB" the channels of `colors`; "D" depth blended like a colour; "ED" depth divided
             by alpha; "RGB+D" and "RGB+ED" both, depth last. Depth is camera z.
         rasterize_mode: "antialiased" dims each splat by what the low-pass filter widened it (Mip-Splatting).
@@ -239,15 +242,15 @@ def rasterization(
             in the median depth. Gradients then reach quats and scales too.
         camera_model: "pinhole"; "ortho", a parallel projection, `fx` and `fy` in pixels per scene unit; "fisheye",
             equidistant, up to 90 degrees off the axis. The affine map of a splat is that of its mean.
-        radial_coeffs: `[C, 4]` k1 to k4 of a fisheye lens (Kannala and Brandt, OpenCV's order). What lies past the
+        radial_coeffs: k1 to k4 of a fisheye lens (Kannala and Brandt, OpenCV's order). What lies past the
             angle at which its image stops to grow is culled.
         return_median_depth: Adds `median_depths` `[C, H, W, 1]`: depth of the splat in which a pixel's light falls to
             one half, of the last one that shows where it does not, 0 where none does.
         return_normals: Adds `normals` `[C, H, W, 3]`: the Gaussians' smallest axes in the camera's frame, facing it,
             blended like colours over zero.
-        means2d_probe: `[C, N, 2]` zeros, added to the projected means: the gradient to them is what torch keeps in
+        means2d_probe: Zeros, added to the projected means: the gradient to them is what torch keeps in
             gsplat's `means2d.grad`.
-        absgrad: `[C, N, 2]` zeros: the image does not depend on them, and their gradient is what gsplat's
+        absgrad: Zeros: the image does not depend on them, and their gradient is what gsplat's
             `absgrad=True` writes to `means2d.absgrad`, the sum over pixels of absolute gradients to `means2d`.
         tile_size: Side of a tile in pixels; None for what suits the backend, `rasterizer.default_tile_size(backend)`.
         capacity: Length of the buffer of (tile, Gaussian) pairs. None counts first and chooses a bucket, which works
@@ -260,7 +263,7 @@ def rasterization(
             cuts.
 
     Returns:
-        `[C, H, W, X]` image, `[C, H, W, 1]` alphas, and the intermediate results by name, a mapping: `means2d`,
+        The image, the alphas, and the intermediate results by name, a mapping: `means2d`,
         `depths`, `conics`, `extents`, `radii` (extents rounded up, as gsplat has them), `visible`, `opacities`
         `[C, N]`, `compensations`, `slopes` (of plane depth, else None), what was requested above, and for the tile
         backends `splats`, `offsets`, `needed`, `overflowed`. With a capacity given, an image whose `overflowed` is true

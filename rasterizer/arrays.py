@@ -4,7 +4,8 @@ import inspect
 import reprlib
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, ParamSpec, TypeVar
+from types import NoneType
+from typing import Any, ParamSpec, TypeVar, get_args
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ _NO_FLOATS |= {"image_ids", "batch_ids", "camera_ids", "gaussian_ids"}
 
 
 def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, given an array for every argument annotated `Array` or `Array | None`.
+    """The function, given an array for every argument annotated `Array` or `Float[Array, ...]`, or either and None.
 
     All become arrays of one dtype: float64 where the first of them is, else float32. A gradient has the dtype of the
     array that the caller passed.
@@ -29,7 +30,8 @@ def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
         TypeError: An argument is something else, such as a tensor of torch, or None where an array must be.
     """
     signature = inspect.signature(function)
-    may_be_none = {name: p.annotation != Array for name, p in signature.parameters.items() if _is_array(p.annotation)}
+    kinds = {name: p.annotation for name, p in signature.parameters.items() if _is_array(p.annotation)}
+    may_be_none = {name: NoneType in get_args(kind) for name, kind in kinds.items()}
 
     @wraps(function)
     def with_arrays(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -47,7 +49,8 @@ def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _is_array(annotation: Any) -> bool:
-    return annotation == Array or annotation == (Array | None)
+    kinds = [kind for kind in get_args(annotation) or (annotation,) if kind is not NoneType]
+    return all(getattr(kind, "array_type", kind) is Array for kind in kinds)
 
 
 def _as_array(name: str, value: Any, dtype: Any) -> Array:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Bool, Int32
 
 from rasterizer.projection import Projection
 from rasterizer.rules import Rules
@@ -39,10 +40,10 @@ class TileGrid(NamedTuple):
 class TilePairs(NamedTuple):
     """Sorted (tile, splat) pairs. Splats of camera c are numbered c * N + n."""
 
-    splats: Array  # [capacity] int32, by tile and, within a tile, by depth; rubbish past offsets[-1]
-    offsets: Array  # [num_tiles + 1] int32, the range of each tile in `splats`
-    needed: Array  # [] int32, capacity without which pairs are lost
-    overflowed: Array  # [] bool, needed > capacity: the lists are incomplete and an image made of them is wrong
+    splats: Int32[Array, "capacity"]  # by tile and, within a tile, by depth; rubbish past offsets[-1]
+    offsets: Int32[Array, "num_offsets"]  # num_tiles + 1 of them: the range of each tile in `splats`
+    needed: Int32[Array, ""]  # capacity without which pairs are lost
+    overflowed: Bool[Array, ""]  # needed > capacity: the lists are incomplete and an image made of them is wrong
 
 
 def _tile_boxes(projection: Projection, grid: TileGrid) -> tuple[Array, Array]:
@@ -61,8 +62,8 @@ def _total(count: Array) -> Array:
     return jnp.where(fits, jnp.sum(count, dtype=jnp.int32), np.iinfo(np.int32).max)
 
 
-def count_pairs(projection: Projection, grid: TileGrid) -> Array:
-    """`[]` int32: the capacity that `bin_splats` needs for this projection; the largest int32 if more."""
+def count_pairs(projection: Projection, grid: TileGrid) -> Int32[Array, ""]:
+    """The capacity that `bin_splats` needs for this projection; the largest int32 if more."""
     _, size = _tile_boxes(projection, grid)
     return _total(size[:, 0] * size[:, 1])
 

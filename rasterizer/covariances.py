@@ -9,11 +9,13 @@ from functools import reduce
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
 from rasterizer.arrays import takes_arrays
 
 Vector = list[Array]
 Matrix = list[Vector]  # rows
+SymmetricMatrices = Float[Array, "*batch 3 3"] | Float[Array, "*batch 6"]  # as a whole, or its upper triangle
 
 
 def components(vectors: Array) -> Vector:
@@ -117,19 +119,23 @@ def upper_triangle(matrices: Array) -> Array:
 
 @takes_arrays
 def quat_scale_to_covar_preci(
-    quats: Array, scales: Array, compute_covar: bool = True, compute_preci: bool = True, triu: bool = False
-) -> tuple[Array | None, Array | None]:
+    quats: Float[Array, "*batch 4"],
+    scales: Float[Array, "*batch 3"],
+    compute_covar: bool = True,
+    compute_preci: bool = True,
+    triu: bool = False,
+) -> tuple[SymmetricMatrices | None, SymmetricMatrices | None]:
     """Covariances R S S R^T and precisions of Gaussians. Name and arguments of gsplat.
 
     Args:
-        quats: `[..., 4]` rotations (w, x, y, z) of any length; a zero one is the identity.
-        scales: `[..., 3]` standard deviations.
+        quats: Rotations (w, x, y, z) of any length; a zero one is the identity.
+        scales: Standard deviations.
         compute_covar: Whether covariances are returned. Static.
         compute_preci: Whether precisions are returned; infinite along a flat axis. Static.
-        triu: Whether matrices are returned as upper triangles `[..., 6]` (xx, xy, xz, yy, yz, zz). Static.
+        triu: Whether matrices are returned as upper triangles (xx, xy, xz, yy, yz, zz). Static.
 
     Returns:
-        Covariances and precisions `[..., 3, 3]`, None where not requested. Differentiable to both arguments.
+        Covariances and precisions, None where not requested. Differentiable to both arguments.
 
     Raises:
         ValueError: If the shapes do not fit.

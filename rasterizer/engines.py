@@ -10,6 +10,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float, Int32
 
 from rasterizer import _mosaic, _pallas, _reference, _xla
 from rasterizer.arrays import in_float32
@@ -112,11 +113,11 @@ def default_tile_size(backend: Backend = "auto") -> int:
 
 def bin_splats(
     projection: Projection,
-    opacities: Array,
+    opacities: Float[Array, "N"] | Float[Array, "C N"],
     grid: TileGrid,
     capacity: int,
     rules: Rules,
-    masks: Array | None = None,
+    masks: Bool[Array, "C tiles_y tiles_x"] | None = None,
     *,
     backend: Backend = "auto",
 ) -> TilePairs:
@@ -124,11 +125,11 @@ def bin_splats(
 
     Args:
         projection: Splats of `grid.num_cameras` cameras.
-        opacities: `[N]` or `[C, N]` opacity of each splat.
+        opacities: Of each splat; `[N]` are the same for all cameras.
         grid: The tiles. Static.
         capacity: Length of the pair buffer. Static.
         rules: Decides the alpha cut. Static.
-        masks: `[C, tiles_y, tiles_x]` bool; a tile that is False gets an empty list. None for all tiles.
+        masks: A tile that is False gets an empty list. None for all tiles.
         backend: The lists of all are the same; "reference" lists as "xla" does. Static.
 
     Returns:
@@ -144,24 +145,24 @@ def bin_splats(
 
 def blend(
     projection: Projection,
-    opacities: Array,
-    features: Array,
+    opacities: Float[Array, "N"] | Float[Array, "C N"],
+    features: Float[Array, "C N D"],
     pairs: TilePairs | None,
     grid: TileGrid,
     rules: Rules = GSPLAT,
     *,
     backend: Backend = "auto",
-    masks: Array | None = None,
+    masks: Bool[Array, "C tiles_y tiles_x"] | None = None,
     with_median: bool = False,
     front: Front | None = None,
-    absgrad: Array | None = None,
-) -> tuple[Array, Array, Array | None]:
+    absgrad: Float[Array, "C N 2"] | None = None,
+) -> tuple[Float[Array, "C H W D"], Float[Array, "C H W 1"], Int32[Array, "C H W"] | None]:
     """Blend any channels over given lists: one binning serves several passes.
 
     Args:
         projection: Splats of `grid.num_cameras` cameras.
-        opacities: `[N]` or `[C, N]`.
-        features: `[C, N, D]`.
+        opacities: As in `bin_splats`.
+        features: Any channels.
         pairs: Lists of `bin_splats` for this projection and grid. None: the backend lists splats in memory of its own,
             see `lists_by_itself`.
         grid: The tiles. Static.
@@ -170,13 +171,13 @@ def blend(
         masks: As in `bin_splats`, where `pairs` is None.
         with_median: Whether the median splats are computed. Static.
         front: How many of the last channels end with the first layers, and where. Static.
-        absgrad: `[C, N, 2]` zeros: nothing depends on them, and their gradient is the sum over pixels of *absolute*
+        absgrad: Zeros: nothing depends on them, and their gradient is the sum over pixels of *absolute*
             gradients to `means2d`, which AbsGS splits by. One more pass over the pairs, in jnp whatever the backend.
 
     Returns:
-        `[C, H, W, D]` features blended on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
-        c * N + n in which each pixel's light falls to one half (the last one that shows, where it does not; -1 for
-        none), or None. Differentiable to `means2d` and `conics` of the projection, opacities and features.
+        The features blended on nothing, the transmittance left, and the splat c * N + n in which each pixel's light
+        falls to one half (the last one that shows, where it does not; -1 for none), or None. Differentiable to
+        `means2d` and `conics` of the projection, opacities and features.
 
     Raises:
         ValueError: If the tiles do not suit the backend, there is no camera or no channel, or `absgrad` is given to

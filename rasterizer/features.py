@@ -4,6 +4,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float, Int32
 
 from rasterizer.harmonics import spherical_harmonics
 from rasterizer.projection import Projection
@@ -52,7 +53,7 @@ def center_channels(projection: Projection) -> Array:
     return jnp.where(projection.visible, projection.depths, 0)[..., None]
 
 
-def depth_channels(projection: Projection, width: int, height: int) -> Array:
+def depth_channels(projection: Projection, width: int, height: int) -> Float[Array, "C N 1"] | Float[Array, "C N 3"]:
     """What is blended for depth, whether it is the centres' or the planes': `blended_depth` reads it.
 
     Args:
@@ -61,7 +62,7 @@ def depth_channels(projection: Projection, width: int, height: int) -> Array:
         height: Image height in pixels. Static.
 
     Returns:
-        `[C, N, 1]` the centres' depths; or, where the projection has slopes, `[C, N, 3]` every splat's plane: its
+        The centres' depths; or, where the projection has slopes, every splat's plane: its
         depth in the middle of the image, and the slopes. Zero where not visible. A sum of planes is a plane, so three
         channels carry what each pixel would else compute for each splat. Seen from the middle of the image they are
         small numbers, which keeps float32's digits: the error is a rounding of slope x half the image.
@@ -74,8 +75,8 @@ def depth_channels(projection: Projection, width: int, height: int) -> Array:
     return jnp.where(projection.visible[..., None], planes, 0)
 
 
-def blended_depth(channels: Array) -> Array:
-    """`[C, H, W, 1]` depth of blended `depth_channels`, `[C, H, W, 1]` or `[C, H, W, 3]`; not divided by alpha."""
+def blended_depth(channels: Float[Array, "C H W 1"] | Float[Array, "C H W 3"]) -> Float[Array, "C H W 1"]:
+    """Depth of blended `depth_channels`, not divided by alpha."""
     if channels.shape[-1] == 1:
         return channels
     height, width = channels.shape[1:3]
@@ -91,8 +92,8 @@ def expected_depth(image: Array, alphas: Array) -> Array:
     return jnp.concatenate([image[..., :-1], depth], -1)
 
 
-def median_depth(projection: Projection, median: Array) -> Array:
-    """`[C, H, W, 1]` depth of each pixel's median splat, 0 where there is none; differentiable to the projection."""
+def median_depth(projection: Projection, median: Int32[Array, "C H W"]) -> Float[Array, "C H W 1"]:
+    """Depth of each pixel's median splat, 0 where there is none; differentiable to the projection."""
     p, found = projection, median >= 0
     if p.depths.size == 0:
         return jnp.zeros((*median.shape, 1), p.depths.dtype)

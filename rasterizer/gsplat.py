@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Bool, Float, Int, Int32, Int64, Num
 
 from rasterizer.arrays import takes_arrays
 from rasterizer.binning import TileGrid, TilePairs
@@ -109,16 +110,18 @@ def _of_cameras(cameras: Array) -> Matrix:
 
 
 @takes_arrays
-def world_to_cam(means: Array, covars: Array, viewmats: Array) -> tuple[Array, Array]:
+def world_to_cam(
+    means: Float[Array, "... N 3"], covars: Float[Array, "... N 3 3"], viewmats: Float[Array, "... C 4 4"]
+) -> tuple[Float[Array, "... C N 3"], Float[Array, "... C N 3 3"]]:
     """Gaussians in the cameras' frames.
 
     Args:
-        means: `[..., N, 3]` world.
-        covars: `[..., N, 3, 3]` world.
-        viewmats: `[..., C, 4, 4]` world to camera.
+        means: World frame.
+        covars: World frame.
+        viewmats: World to camera.
 
     Returns:
-        Means `[..., C, N, 3]` and covariances `[..., C, N, 3, 3]`.
+        Means and covariances.
     """
     viewmat = _of_cameras(viewmats)
     mean = [part[..., None, :] for part in components(means)]
@@ -130,20 +133,25 @@ def world_to_cam(means: Array, covars: Array, viewmats: Array) -> tuple[Array, A
 
 @takes_arrays
 def proj(
-    means: Array, covars: Array, Ks: Array, width: int, height: int, camera_model: CameraModelName = "pinhole"
-) -> tuple[Array, Array]:
+    means: Float[Array, "... C N 3"],
+    covars: Float[Array, "... C N 3 3"],
+    Ks: Float[Array, "... C 3 3"],
+    width: int,
+    height: int,
+    camera_model: CameraModelName = "pinhole",
+) -> tuple[Float[Array, "... C N 2"], Float[Array, "... C N 2 2"]]:
     """Affine projection of Gaussians that are in their cameras' frames.
 
     Args:
-        means: `[..., C, N, 3]` camera frame, in front of the camera.
-        covars: `[..., C, N, 3, 3]` camera frame.
-        Ks: `[..., C, 3, 3]` pixels.
+        means: Camera frame, in front of the camera.
+        covars: Camera frame.
+        Ks: Pixels.
         width: Image width, pixels: decides how far outside the image a pinhole's affine map is still followed.
         height: Image height, pixels.
         camera_model: "pinhole", "ortho" or "fisheye", as in `rasterization`.
 
     Returns:
-        Means `[..., C, N, 2]` and covariances `[..., C, N, 2, 2]`, pixels.
+        Means and covariances, pixels.
 
     Raises:
         ValueError: On another camera model.
@@ -159,12 +167,12 @@ def proj(
 
 @takes_arrays
 def fully_fused_projection(
-    means: Array,
-    covars: Array | None,
-    quats: Array | None,
-    scales: Array | None,
-    viewmats: Array,
-    Ks: Array,
+    means: Float[Array, "... N 3"],
+    covars: Float[Array, "... N 6"] | None,
+    quats: Float[Array, "... N 4"] | None,
+    scales: Float[Array, "... N 3"] | None,
+    viewmats: Float[Array, "... C 4 4"],
+    Ks: Float[Array, "... C 3 3"],
     width: int,
     height: int,
     eps2d: float = 0.3,
@@ -174,18 +182,24 @@ def fully_fused_projection(
     *,
     calc_compensations: bool = False,
     camera_model: CameraModelName = "pinhole",
-    opacities: Array | None = None,
+    opacities: Float[Array, "... N"] | None = None,
     rules: Rules = GSPLAT,
-) -> tuple[Any, ...]:
+) -> tuple[
+    Int32[Array, "... C N 2"],
+    Float[Array, "... C N 2"],
+    Float[Array, "... C N"],
+    Float[Array, "... C N 3"],
+    Float[Array, "... C N"] | None,
+]:
     """Project Gaussians into cameras.
 
     Args:
-        means: `[..., N, 3]`.
-        covars: `[..., N, 6]` upper triangles (xx, xy, xz, yy, yz, zz), or None.
-        quats: `[..., N, 4]`, or None with `covars`.
-        scales: `[..., N, 3]`, or None with `covars`.
-        viewmats: `[..., C, 4, 4]` world to camera.
-        Ks: `[..., C, 3, 3]` pixels.
+        means: World frame.
+        covars: Upper triangles (xx, xy, xz, yy, yz, zz), or None.
+        quats: Rotations (w, x, y, z), or None with `covars`.
+        scales: Standard deviations, or None with `covars`.
+        viewmats: World to camera.
+        Ks: Pixels.
         width: Image width, pixels. Static.
         height: Image height, pixels. Static.
         eps2d: Added to the 2D variances, pixels^2.
@@ -194,12 +208,12 @@ def fully_fused_projection(
         radius_clip: Gaussians whose radii are both at most this are culled, pixels.
         calc_compensations: Whether the antialiasing factors are returned.
         camera_model: "pinhole", "ortho" or "fisheye", as in `rasterization`.
-        opacities: `[..., N]`; where given, a faint Gaussian's radii shrink and one under the cut is culled.
+        opacities: Where given, a faint Gaussian's radii shrink and one under the cut is culled.
         rules: Extents and alpha cut.
 
     Returns:
-        Radii `[..., C, N, 2]` int32, 0 where culled; means2d `[..., C, N, 2]`, depths `[..., C, N]`, conics
-        `[..., C, N, 3]`, and compensations `[..., C, N]` or None. Rows of culled Gaussians hold harmless values.
+        Radii, 0 where culled; means2d, depths, conics, and compensations or None. Rows of culled Gaussians hold
+        harmless values.
 
     Raises:
         ValueError: On another camera model, and where a Gaussian's shape is missing.
@@ -232,22 +246,22 @@ def _tile_bits(num_tiles: int) -> int:
 
 @takes_arrays
 def isect_tiles(
-    means2d: Array,
-    radii: Array,
-    depths: Array,
+    means2d: Float[Array, "... N 2"],
+    radii: Num[Array, "... N 2"],
+    depths: Float[Array, "... N"],
     tile_size: int,
     tile_width: int,
     tile_height: int,
     sort: bool = True,
     *,
     capacity: int | None = None,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Int32[Array, "... N"], Int64[Array, "n"], Int32[Array, "n"]]:
     """List the tiles that the box of each splat's radii overlaps.
 
     Args:
-        means2d: `[..., N, 2]` pixels.
-        radii: `[..., N, 2]` pixels; 0 along either axis lists nothing.
-        depths: `[..., N]`, positive.
+        means2d: Pixels.
+        radii: Pixels; 0 along either axis lists nothing.
+        depths: Positive.
         tile_size: Side of a tile, pixels.
         tile_width: Tiles per row.
         tile_height: Rows of tiles.
@@ -256,8 +270,7 @@ def isect_tiles(
             slots left over hold `PADDING` and -1, intersections beyond it are lost.
 
     Returns:
-        Tiles per splat `[..., N]` int32, intersection ids int64 (image | tile | depth bits), and flattened splat
-        indices int32. Not differentiable.
+        Tiles per splat, intersection ids (image | tile | depth bits), and flattened splat indices. Not differentiable.
 
     Raises:
         ValueError: Inside `jit` without a capacity.
@@ -293,8 +306,10 @@ def isect_tiles(
 
 
 @takes_arrays
-def isect_offset_encode(isect_ids: Array, n_images: int, tile_width: int, tile_height: int) -> Array:
-    """`[n_images, tile_height, tile_width]` int32: where each tile's run starts in sorted intersection ids."""
+def isect_offset_encode(
+    isect_ids: Int64[Array, "n"], n_images: int, tile_width: int, tile_height: int
+) -> Int32[Array, "{n_images} {tile_height} {tile_width}"]:
+    """Where each tile's run starts in sorted intersection ids."""
     num_tiles = tile_width * tile_height
     with jax.enable_x64(True):
         image, tile = jnp.divmod(jnp.arange(n_images * num_tiles, dtype=jnp.int64), max(num_tiles, 1))
@@ -317,44 +332,43 @@ def _keep_masked(pairs: TilePairs, masks: Array) -> TilePairs:
 
 @takes_arrays
 def rasterize_to_pixels(
-    means2d: Array,
-    conics: Array,
-    colors: Array,
-    opacities: Array,
+    means2d: Float[Array, "... N 2"],
+    conics: Float[Array, "... N 3"],
+    colors: Float[Array, "... N D"],
+    opacities: Float[Array, "... N"],
     image_width: int,
     image_height: int,
     tile_size: int,
-    isect_offsets: Array,
-    flatten_ids: Array,
-    backgrounds: Array | None = None,
-    masks: Array | None = None,
+    isect_offsets: Int[Array, "... tile_height tile_width"],
+    flatten_ids: Int[Array, "n"],
+    backgrounds: Float[Array, "... D"] | Float[Array, ""] | None = None,
+    masks: Bool[Array, "... tile_height tile_width"] | None = None,
     *,
-    absgrad: Array | bool = False,
+    absgrad: Float[Array, "... N 2"] | bool = False,
     backend: Backend = "auto",
     rules: Rules = GSPLAT,
-) -> tuple[Array, Array]:
+) -> tuple[Float[Array, "... {image_height} {image_width} D"], Float[Array, "... {image_height} {image_width} 1"]]:
     """Blend listed splats.
 
     Args:
-        means2d: `[..., N, 2]` pixels.
-        conics: `[..., N, 3]` inverse 2D covariances (xx, xy, yy).
-        colors: `[..., N, D]` any channels.
-        opacities: `[..., N]`.
+        means2d: Pixels.
+        conics: Inverse 2D covariances (xx, xy, yy).
+        colors: Any channels.
+        opacities: In 0..1.
         image_width: Pixels. Static.
         image_height: Pixels. Static.
         tile_size: Side of a tile, pixels. Static.
-        isect_offsets: `[..., tile_height, tile_width]` of `isect_offset_encode`.
-        flatten_ids: `[n]` of `isect_tiles`.
-        backgrounds: `[..., D]` blended under each image, or a number.
-        masks: `[..., tile_height, tile_width]` bool; a tile that is False is not rendered: background, alpha 0.
-        absgrad: Zeros of the shape of `means2d`: the image does not depend on them, and their gradient is what gsplat's
+        isect_offsets: Of `isect_offset_encode`.
+        flatten_ids: Of `isect_tiles`.
+        backgrounds: Blended under each image; a number for all channels.
+        masks: A tile that is False is not rendered: background, alpha 0.
+        absgrad: Zeros: the image does not depend on them, and their gradient is what gsplat's
             `absgrad=True` writes to `means2d.absgrad`.
         backend: A tile backend. Static.
         rules: Thresholds of compositing. Static.
 
     Returns:
-        Image `[..., H, W, D]` and alphas `[..., H, W, 1]`, differentiable to means2d, conics, colors, opacities and
-        backgrounds.
+        Image and alphas, differentiable to means2d, conics, colors, opacities and backgrounds.
 
     Raises:
         ValueError: On `absgrad` of another shape, and where there is no image or no channel.

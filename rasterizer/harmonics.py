@@ -5,6 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float
 
 from rasterizer.arrays import takes_arrays, whole_number
 from rasterizer.devices import default_device
@@ -54,18 +55,23 @@ def _basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
 
 
 @takes_arrays
-def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: Array | None = None) -> Array:
+def spherical_harmonics(
+    degrees_to_use: int,
+    dirs: Float[Array, "... 3"],
+    coeffs: Float[Array, "... K D"],
+    masks: Bool[Array, "..."] | None = None,
+) -> Float[Array, "... D"]:
     """Evaluate real spherical harmonics.
 
     Args:
         degrees_to_use: Highest degree used, 0 to 4. Static.
-        dirs: `[..., 3]` directions from the camera to the point, any length; a zero direction is read as +z with
+        dirs: Directions from the camera to the point, any length; a zero direction is read as +z with
             zero gradient.
-        coeffs: `[..., K, D]` coefficients, K >= (degree + 1)^2; more are ignored.
-        masks: `[...]` bool; where it is False the value is 0 and nothing is read, so that it may be anything.
+        coeffs: Coefficients, K >= (degree + 1)^2; more are ignored.
+        masks: Where it is False the value is 0 and nothing is read, so that it may be anything.
 
     Returns:
-        `[..., D]` values, differentiable to `dirs` and `coeffs`. 3DGS colours are `max(value + 0.5, 0)`.
+        Values, differentiable to `dirs` and `coeffs`. 3DGS colours are `max(value + 0.5, 0)`.
 
     Raises:
         ValueError: If the degree is not 0 to 4 or `coeffs` holds too few coefficients or no channel.
@@ -85,16 +91,18 @@ def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: 
 
 
 @takes_arrays
-def upper_bands(dirs: Array, coeffs: Array, weights: Array | None = None) -> Array:
+def upper_bands(
+    dirs: Float[Array, "... 3"], coeffs: Float[Array, "... M D"], weights: Float[Array, "... M"] | None = None
+) -> Float[Array, "... D"]:
     """The part of degree 1 and up of all coefficients that there are.
 
     Args:
-        dirs: `[..., 3]` as in `spherical_harmonics`.
-        coeffs: `[..., K - 1, D]` coefficients without the first, K a square up to 25.
-        weights: `[..., K - 1]` factors of the basis functions, for a ramp of degrees; None for ones.
+        dirs: As in `spherical_harmonics`.
+        coeffs: Coefficients without the first, M + 1 a square up to 25.
+        weights: Factors of the basis functions, for a ramp of degrees; None for ones.
 
     Returns:
-        `[..., D]` values, differentiable to all three. With those of `spherical_harmonics_l0` they sum to all bands.
+        Values, differentiable to all three. With those of `spherical_harmonics_l0` they sum to all bands.
     """
     degree = math.isqrt(coeffs.shape[-2])
     basis = _basis_at(degree, dirs)[..., 1:]
@@ -122,27 +130,31 @@ def _sum_of_bands(basis: Array, coeffs: Array) -> Array:
 
 
 @takes_arrays
-def spherical_harmonics_l0(sh0: Array) -> Array:
-    """The part of degree 0, gsplat's name: `[..., 1, D]` coefficients -> `[..., D]` values."""
+def spherical_harmonics_l0(sh0: Float[Array, "... 1 D"]) -> Float[Array, "... D"]:
+    """The part of degree 0 of coefficients, gsplat's name."""
     return DC * sh0[..., 0, :]
 
 
 @takes_arrays
 def spherical_harmonics_l1_plus(
-    degrees_to_use: int, means: Array, viewmats: Array, shN: Array, masks: Array | None = None
-) -> Array:
+    degrees_to_use: int,
+    means: Float[Array, "... N 3"],
+    viewmats: Float[Array, "... C 4 4"],
+    shN: Float[Array, "N M D"],
+    masks: Bool[Array, "... C N"] | None = None,
+) -> Float[Array, "... C N D"]:
     """The part of degree 1 and up, gsplat's name.
 
     Args:
         degrees_to_use: Highest degree used, 0 to 4. Static.
-        means: `[..., N, 3]` world positions.
-        viewmats: `[..., C, 4, 4]` world to camera.
-        shN: `[N, K - 1, D]` coefficients without the first.
-        masks: `[..., C, N]` bool; where it is False the value is 0.
+        means: World positions.
+        viewmats: World to camera.
+        shN: Coefficients without the first.
+        masks: Where it is False the value is 0.
 
     Returns:
-        `[..., C, N, D]` values, differentiable to means, viewmats and coefficients. With those of
-        `spherical_harmonics_l0` they sum to all bands; 3DGS colours are `max(sum + 0.5, 0)`.
+        Values, differentiable to means, viewmats and coefficients. With those of `spherical_harmonics_l0` they sum to
+        all bands; 3DGS colours are `max(sum + 0.5, 0)`.
 
     Raises:
         ValueError: As `spherical_harmonics`.

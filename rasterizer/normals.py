@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float
 
 from rasterizer.arrays import takes_arrays
 from rasterizer.camera_models import CAMERA_MODELS, CameraModelName
@@ -12,25 +13,25 @@ from rasterizer.projection import camera_position
 
 @takes_arrays
 def camera_normals(
-    means: Array,
-    quats: Array,
-    scales: Array,
-    viewmats: Array,
-    visible: Array,
+    means: Float[Array, "N 3"],
+    quats: Float[Array, "N 4"],
+    scales: Float[Array, "N 3"],
+    viewmats: Float[Array, "C 4 4"],
+    visible: Bool[Array, "C N"],
     camera_model: CameraModelName = "pinhole",
-) -> Array:
+) -> Float[Array, "C N 3"]:
     """Unit normals of N Gaussians in C camera frames (OpenCV axes), facing the camera.
 
     Args:
-        means: `[N, 3]` world positions; they only decide the sign.
-        quats: `[N, 4]` rotations (w, x, y, z) of any length.
-        scales: `[N, 3]`; they only decide which axis is the smallest.
-        viewmats: `[C, 4, 4]` world to camera.
-        visible: `[C, N]` bool; the others get zero, with zero gradient, whatever they hold.
+        means: World positions; they only decide the sign.
+        quats: Rotations (w, x, y, z) of any length.
+        scales: They only decide which axis is the smallest.
+        viewmats: World to camera.
+        visible: Where it is False the normal is zero, with zero gradient, whatever the Gaussian holds.
         camera_model: Decides which way a Gaussian is seen from, and so the sign. Static.
 
     Returns:
-        `[C, N, 3]`, differentiable to quats and viewmats.
+        Normals, differentiable to quats and viewmats.
     """
     # What no camera sees is made harmless first; what one camera sees is sound.
     seen = visible.any(0)[:, None]

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float
 
 from rasterizer.arrays import takes_arrays
 from rasterizer.camera_models import CAMERA_MODELS, CameraModel, CameraModelName, Lens
@@ -38,13 +39,13 @@ SHOWN_SIGMAS = 3.33  # sqrt(2 ln 255): where a splat of opacity 1 falls under th
 class Projection(NamedTuple):
     """Splats of C cameras and N Gaussians. Rows that are not `visible` hold harmless values."""
 
-    means2d: Array  # [C, N, 2] pixels
-    depths: Array  # [C, N] camera z, scene units
-    conics: Array  # [C, N, 3] inverse 2D covariance (xx, xy, yy), 1 / pixels^2
-    extents: Array  # [C, N, 2] half width and height of what can pass the alpha cut, pixels; 0 where not visible
-    visible: Array  # [C, N] bool: in front, finite, not too faint, inside the image
-    compensations: Array | None = None  # [C, N] factor of the opacity that undoes the blur; None in classic mode
-    slopes: Array | None = None  # [C, N, 2] what depth gains per pixel along x and y; None where depth is the centre's
+    means2d: Float[Array, "C N 2"]  # pixels
+    depths: Float[Array, "C N"]  # camera z, scene units
+    conics: Float[Array, "C N 3"]  # inverse 2D covariance (xx, xy, yy), 1 / pixels^2
+    extents: Float[Array, "C N 2"]  # half width and height of what can pass the alpha cut, pixels; 0 where not visible
+    visible: Bool[Array, "C N"]  # in front, finite, not too faint, inside the image
+    compensations: Float[Array, "C N"] | None = None  # factor of the opacity that undoes the blur; None if classic
+    slopes: Float[Array, "C N 2"] | None = None  # what depth gains per pixel along x and y; None: depth is the centre's
 
 
 class _Splats(NamedTuple):
@@ -175,16 +176,16 @@ _traced_once = jax.jit(_project_components, static_argnames=_OPTIONS.split())
 
 @takes_arrays
 def project(
-    means: Array,
-    quats: Array | None,
-    scales: Array | None,
-    opacities: Array,
-    viewmats: Array,
-    Ks: Array,
+    means: Float[Array, "N 3"],
+    quats: Float[Array, "N 4"] | None,
+    scales: Float[Array, "N 3"] | None,
+    opacities: Float[Array, "N"],
+    viewmats: Float[Array, "C 4 4"],
+    Ks: Float[Array, "C 3 3"],
     width: int,
     height: int,
     *,
-    covars: Array | None = None,
+    covars: Float[Array, "N 3 3"] | None = None,
     eps2d: float = 0.3,
     near_plane: float = 0.01,
     far_plane: float = 1e10,
@@ -192,21 +193,21 @@ def project(
     rasterize_mode: RasterizeMode = "classic",
     depth_mode: DepthMode = "center",
     camera_model: CameraModelName = "pinhole",
-    radial_coeffs: Array | None = None,
+    radial_coeffs: Float[Array, "C 4"] | None = None,
     rules: Rules = GSPLAT,
 ) -> Projection:
     """Project N Gaussians into C cameras (EWA splatting; conventions of gsplat 1.6).
 
     Args:
-        means: `[N, 3]` world positions.
-        quats: `[N, 4]` rotations (w, x, y, z) of any length; unused with `covars`.
-        scales: `[N, 3]` standard deviations, linear; unused with `covars`.
-        opacities: `[N]` in 0..1; they only decide extents and visibility here, and receive no gradient.
-        viewmats: `[C, 4, 4]` world to camera, OpenCV axes.
-        Ks: `[C, 3, 3]` pixels.
+        means: World positions.
+        quats: Rotations (w, x, y, z) of any length; unused with `covars`.
+        scales: Standard deviations, linear; unused with `covars`.
+        opacities: In 0..1; they only decide extents and visibility here, and receive no gradient.
+        viewmats: World to camera, OpenCV axes.
+        Ks: Pixels.
         width: Image width in pixels. Static.
         height: Image height in pixels. Static.
-        covars: `[N, 3, 3]` symmetric covariances in place of quats and scales, upper triangle read. A needle of
+        covars: Symmetric covariances in place of quats and scales, upper triangle read. A needle of
             aspect a loses a^2 of float32's digits here, and nothing from quats and scales.
         eps2d: Added to both variances of the 2D covariance, pixels^2.
         near_plane: Gaussians at or nearer than this camera z are culled.
@@ -219,7 +220,7 @@ def project(
             `near_plane`: a steeper plane is made flatter.
         camera_model: How a point comes into the image: "pinhole"; "ortho", a parallel projection with `fx`, `fy` in
             pixels per scene unit; "fisheye", equidistant. Depth is camera z with all. Static.
-        radial_coeffs: `[C, 4]` k1 to k4 of the fisheye lens (Kannala and Brandt; OpenCV's order); None for zeros.
+        radial_coeffs: k1 to k4 of the fisheye lens (Kannala and Brandt; OpenCV's order); None for zeros.
         rules: Decides extents and the opacity below which nothing shows.
 
     Returns:

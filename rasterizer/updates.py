@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Bool, Float, Int
 
 from rasterizer.engines import Backend, native_loops
 
@@ -12,12 +13,12 @@ from rasterizer.engines import Backend, native_loops
 class Moments(NamedTuple):
     """Adam's two averages, arrays like the parameters."""
 
-    mu: Array  # of the gradients
-    nu: Array  # of their squares
+    mu: Float[Array, "*shape"]  # of the gradients
+    nu: Float[Array, "*shape"]  # of their squares
 
 
-def all_finite(tree: Any, *, backend: Backend = "auto") -> Array:
-    """`[]` bool: whether no number of a pytree is NaN or infinite. Not differentiable.
+def all_finite(tree: Any, *, backend: Backend = "auto") -> Bool[Array, ""]:
+    """Whether no number of a pytree is NaN or infinite. Not differentiable.
 
     Args:
         tree: Arrays and numbers of any kind; whole numbers are finite.
@@ -33,29 +34,29 @@ def all_finite(tree: Any, *, backend: Backend = "auto") -> Array:
 
 
 def adam(
-    parameters: Array,
-    gradients: Array,
+    parameters: Float[Array, "*shape"],
+    gradients: Float[Array, "*shape"],
     moments: Moments,
-    skipped: Array,
+    skipped: Bool[Array, ""],
     *,
-    rate: Array | float,
-    count: Array,
+    rate: Float[Array, ""] | float,
+    count: Int[Array, ""],
     b1: float = 0.9,
     b2: float = 0.999,
     eps: float = 1e-15,
     backend: Backend = "auto",
-) -> tuple[Array, Moments]:
+) -> tuple[Float[Array, "*shape"], Moments]:
     """The parameters and moments after a step, those of `optax.adam` to a unit in the last place.
 
     Where parameters and moments are donated, or used for nothing else, the native loops write over them.
 
     Args:
-        parameters: `[...]` float32 (others are updated in jnp).
-        gradients: The same shape, finite unless the step is skipped.
+        parameters: Float32 (others are updated in jnp).
+        gradients: Finite unless the step is skipped.
         moments: After the step before; zeros in the beginning.
-        skipped: `[]` bool. Nothing changes where it is True.
+        skipped: Nothing changes where it is True.
         rate: Learning rate of this step.
-        count: `[]` int32 number of this step, from 1.
+        count: Number of this step, from 1.
         b1: Share of `mu` that stays. Static.
         b2: Share of `nu` that stays. Static.
         eps: Added to the root of `nu`. Static.

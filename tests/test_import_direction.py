@@ -22,12 +22,12 @@ class Layer:
     packages: tuple[str, ...]
 
 
-CORE_PACKAGES = ("jax", "numpy", "optax", "scipy")
+CORE_PACKAGES = ("jax", "jaxtyping", "numpy", "optax", "scipy")
 CORE = ("vocabulary", "metrics", "normals", "analytic", "effects", "training", "binding")
 FILES = ("io", "meshing", "networks", "runs")
 LAYERS = {
     "native loops": Layer(("rasterizer._native",), ("rasterizer",), ("jax", "numpy", "numba", "llvmlite")),
-    "rasterizer": Layer(("rasterizer",), ("native loops",), ("jax", "numpy")),
+    "rasterizer": Layer(("rasterizer",), ("native loops",), ("jax", "jaxtyping", "numpy")),
     "vocabulary": Layer(("gsjax",), ("rasterizer",), CORE_PACKAGES),
     "metrics": Layer(("gsjax.metrics",), ("vocabulary",), CORE_PACKAGES),
     "normals": Layer(("gsjax.normals",), ("vocabulary",), CORE_PACKAGES),

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Bool, Float
 
 _WINDOW_RADIUS = 5  # 11 taps
 _WINDOW_SIGMA = 1.5  # pixels
@@ -18,16 +19,18 @@ _C1 = 0.01**2  # for a dynamic range of 1
 _C2 = 0.03**2
 
 
-def psnr(image: Array, target: Array, mask: Array | None = None) -> Array:
+def psnr(
+    image: Float[Array, "H W C"], target: Float[Array, "H W C"], mask: Bool[Array, "H W"] | None = None
+) -> Float[Array, ""]:
     """Peak signal-to-noise ratio, `20 log10(1 / sqrt(mse))`, over all valid pixels and channels.
 
     Args:
-        image: `[H, W, C]`, clamped to 0..1 by the caller.
-        target: `[H, W, C]`, 0..1.
-        mask: `[H, W]` bool, the pixels that count; all where None.
+        image: Clamped to 0..1 by the caller.
+        target: In 0..1.
+        mask: The pixels that count; all where None.
 
     Returns:
-        `[]` decibels; infinite for equal images.
+        Decibels; infinite for equal images.
     """
     return -10.0 * jnp.log10(mse(image, target, mask))
 
@@ -43,18 +46,20 @@ def mse(image: Array, target: Array, mask: Array | None = None) -> Array:
     return _mean(jnp.square(image - target), mask)
 
 
-def ssim(image: Array, target: Array, mask: Array | None = None) -> Array:
+def ssim(
+    image: Float[Array, "H W C"], target: Float[Array, "H W C"], mask: Bool[Array, "H W"] | None = None
+) -> Float[Array, ""]:
     """Structural similarity: the mean of `ssim_map` over the valid pixels and all channels.
 
     Invalid pixels are zero in both images, exactly as what lies beyond the border is.
 
     Args:
-        image: `[H, W, C]`, 0..1.
-        target: `[H, W, C]`, 0..1.
-        mask: `[H, W]` bool, the pixels that count; all where None.
+        image: In 0..1.
+        target: In 0..1.
+        mask: The pixels that count; all where None.
 
     Returns:
-        `[]`, at most 1, which equal images reach.
+        At most 1, which equal images reach.
     """
     image, target = _checked_and_masked(image, target, mask)
     return _mean(ssim_map(image, target), mask)

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
 from gsjax import rendering
 from gsjax.gaussians import Gaussians
@@ -26,16 +27,18 @@ Estimator = Callable[[Gaussians, View, Camera], Array]
 DOUBT = 0.1  # Misalignment, 1 - |cos|, from which on a pixel is doubted: 26 degrees.
 
 
-def depth_sdf(point: Array, depth: Array, camera: Camera) -> Array:
+def depth_sdf(
+    point: Float[Array, "3"], depth: Float[Array, "{camera.height} {camera.width}"], camera: Camera
+) -> Float[Array, ""]:
     """Estimated signed distance of one world point to the rendered surface: D(pi(p)) - z(p) (paper, section III).
 
     Args:
-        point: `[3]` world position.
-        depth: `[H, W]` rendered depth, camera z in scene units.
+        point: World position.
+        depth: Rendered depth, camera z in scene units.
         camera: The view that `depth` was rendered from.
 
     Returns:
-        `[]` scene units, positive between the camera and the surface. Its length of gradient is 1 / |n . ray|, not 1:
+        Scene units, positive between the camera and the surface. Its length of gradient is 1 / |n . ray|, not 1:
         only the direction is used. Differentiable to all arguments, finite also on and behind the camera plane.
     """
     point_cam = cameras.world_to_camera(point, camera)
@@ -65,8 +68,8 @@ def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
 
 def sdf_gradient(
     gaussians: Gaussians, camera: Camera, *, depth_mode: rendering.DepthReading = "plane", **options: Any
-) -> Array:
-    """`[H, W, 3]` gradients of the signed distance estimate, composited, in the camera's frame; of any length.
+) -> Float[Array, "{camera.height} {camera.width} 3"]:
+    """Gradients of the signed distance estimate, composited, in the camera's frame; of any length.
 
     Args:
         gaussians: The scene.

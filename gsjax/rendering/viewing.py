@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Bool, Float, Shaped
 
 import rasterizer
 from gsjax.rendering.depth import IN_FRONT, DepthReading, depth_channels, mean_depth, splat_depth_mode
@@ -17,21 +18,21 @@ class Neighbor(NamedTuple):
     """What another camera sees of the same scene, as far as a term compares it with a view."""
 
     camera: Camera
-    depth: Array  # [H, W] as in `View`
+    depth: Float[Array, "H W"]  # as in `View`
     pairs: rasterizer.TilePairs
-    image: Array | None = None  # [H, W, 3] its photo, 0..1, over the background
-    valid: Array | None = None  # [H, W] bool, of the photo
+    image: Float[Array, "H W 3"] | None = None  # its photo, 0..1, over the background
+    valid: Bool[Array, "H W"] | None = None  # of the photo
 
 
 class View(NamedTuple):
     """What one view shows. `depth` is None where it was not requested."""
 
-    colors: Array  # [H, W, 3] over the background, not clamped
-    alphas: Array  # [H, W] coverage
-    depth: Array | None  # [H, W] camera z, of all splats or those in front; 0 where alpha is under `MIN_COVERAGE`
+    colors: Float[Array, "H W 3"]  # over the background, not clamped
+    alphas: Float[Array, "H W"]  # coverage
+    depth: Float[Array, "H W"] | None  # camera z, of all splats or those in front; 0 where alpha < `MIN_COVERAGE`
     splats: Splats
-    extra: Array | None = None  # [H, W, D] what `extra` composites to, on zero
-    axes: Array | None = None  # [H, W, 3] what the splats' smallest axes composite to (`facing_axes`), on zero
+    extra: Float[Array, "H W D"] | None = None  # what `extra` composites to, on zero
+    axes: Float[Array, "H W 3"] | None = None  # what the splats' smallest axes composite to (`facing_axes`), on zero
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
 
 
@@ -40,12 +41,12 @@ def render(
     camera: Camera,
     *,
     capacity: int | None = None,
-    background: Array | None = None,
-    active_degree: Array | int | None = None,
+    background: Float[Array, "3"] | Float[Array, "{camera.height} {camera.width} 3"] | None = None,
+    active_degree: Shaped[Array, ""] | Shaped[Array, "N"] | int | None = None,
     with_depth: bool = False,
     depth_mode: DepthReading = "plane",
-    means2d_probe: Array | None = None,
-    extra: Array | None = None,
+    means2d_probe: Float[Array, "N 2"] | None = None,
+    extra: Float[Array, "N D"] | None = None,
     with_axes: bool = False,
     backend: rasterizer.Backend = "auto",
 ) -> View:
@@ -58,14 +59,14 @@ def render(
         gaussians: The scene, of any kind that `drawable` knows.
         camera: The view.
         capacity: See `splat`.
-        background: `[3]` colour under the image, or `[H, W, 3]`. None: black.
-        active_degree: Highest SH degree used, one for all or `[N]`; may be traced. None: all.
+        background: Colour under the image, one for all pixels or one for each. None: black.
+        active_degree: Highest SH degree used, one for all Gaussians or one for each; may be traced. None: all.
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
             of its mean; depth is the mean over the splats. "front": the mean of the planes of those in front, see
             `IN_FRONT`; "discs": the same of discs on a mesh. Static.
         means2d_probe: See `splat`.
-        extra: `[N, D]` further channels, composited on zero.
+        extra: Further channels, composited on zero.
         with_axes: Whether the splats' smallest axes are composited too, for a scene that has `quats` and `scales`.
             Static; not in the program otherwise.
         backend: As in `rasterizer.rasterization`; "reference" has forward mode and derivatives of any order. Static.

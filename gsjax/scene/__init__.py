@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float32, Float64, Int32, UInt8
 
 from gsjax.errors import InputError
 from gsjax.scene.georeference import UNPLACED, Place
@@ -19,9 +20,9 @@ from gsjax.scene.similarity import IDENTITY, Similarity
 class Pixels(NamedTuple):
     """What a frame shows."""
 
-    image: np.ndarray  # [H, W, 3] uint8 sRGB, straight (un-premultiplied) where there is a matte
-    matte: np.ndarray | None = None  # [H, W] uint8 coverage by the object (alpha): composited over the background
-    valid: np.ndarray | None = None  # [H, W] uint8, 0 where a pixel must not be used (masks, undistortion border)
+    image: UInt8[np.ndarray, "H W 3"]  # sRGB, straight (un-premultiplied) where there is a matte
+    matte: UInt8[np.ndarray, "H W"] | None = None  # coverage by the object (alpha): composited over the background
+    valid: UInt8[np.ndarray, "H W"] | None = None  # 0 where a pixel must not be used (masks, undistortion border)
 
 
 Keep = Callable[[np.ndarray], np.ndarray]
@@ -33,7 +34,7 @@ class Origin(NamedTuple):
 
     photo: tuple[int, int]  # its width and height, pixels
     undistorted: tuple[int, int]  # width and height without distortion and bare border, before a frame is downscaled
-    positions: Callable[[], np.ndarray]  # [H, W, 2] float32: where in the photo, in shares of its width and height,
+    positions: Callable[[], Float32[np.ndarray, "H W 2"]]  # where in the photo, in shares of its width and height,
     # each of the frame's pixel centres lies; -1 where the photo shows nothing
 
 
@@ -49,8 +50,8 @@ class Frame:
     """One undistorted pinhole photo: where it was taken, and how to read its pixels, which are not kept."""
 
     name: str  # file name relative to the image folder, the key of the split
-    viewmat: np.ndarray  # [4, 4] float32, world to camera, OpenCV axes
-    K: np.ndarray  # [3, 3] float32 pixels; pixel centres at +0.5
+    viewmat: Float32[np.ndarray, "4 4"]  # world to camera, OpenCV axes
+    K: Float32[np.ndarray, "3 3"]  # pixels; pixel centres at +0.5
     width: int  # pixels
     height: int  # pixels
     pixels: Callable[[], Pixels]  # reads them, anew at every call (see `preload`); InputError where it cannot
@@ -102,9 +103,9 @@ class Truth:
     depths: Maps = field(default_factory=dict)  # frame's name -> [H, W] float32 camera z, 0 where nothing
     normals: Maps = field(default_factory=dict)  # frame's name -> [H, W, 3] float32 camera frame, 0 where nothing
     labels: Maps = field(default_factory=dict)  # frame's name -> [H, W] uint8: 0 sky, 255 ground, else object
-    points: np.ndarray | None = None  # [P, 3] float32 surface samples that cameras saw, world
-    point_normals: np.ndarray | None = None  # [P, 3] float32 unit, world
-    point_labels: np.ndarray | None = None  # [P] uint8, 0 object, 1 ground
+    points: Float32[np.ndarray, "P 3"] | None = None  # surface samples that cameras saw, world
+    point_normals: Float32[np.ndarray, "P 3"] | None = None  # unit, world
+    point_labels: UInt8[np.ndarray, "P"] | None = None  # 0 object, 1 ground
     mesh: Path | None = None  # file of the whole surface as triangles, seen or not; in the files' own coordinates
 
 
@@ -113,9 +114,9 @@ class Tracks:
     """Which photo saw which point, and where: the O observations that structure from motion matched."""
 
     names: tuple[str, ...]  # of photos
-    photo: np.ndarray  # [O] int32 index into `names`
-    point: np.ndarray  # [O] int32 index into the scene's points
-    rays: np.ndarray  # [O, 2] float32 x/z and y/z of the keypoint in its photo's camera axes, without lens distortion
+    photo: Int32[np.ndarray, "O"]  # index into `names`
+    point: Int32[np.ndarray, "O"]  # index into the scene's points
+    rays: Float32[np.ndarray, "O 2"]  # x/z and y/z of the keypoint in its photo's camera axes, without lens distortion
 
 
 @dataclass(frozen=True)
@@ -125,8 +126,8 @@ class Scene:
     root: Path
     source: str  # "colmap", "transforms" or "nerf-synthetic"
     frames: tuple[Frame, ...]
-    points: np.ndarray  # [P, 3] float32 world
-    point_colors: np.ndarray  # [P, 3] uint8
+    points: Float32[np.ndarray, "P 3"]  # world
+    point_colors: UInt8[np.ndarray, "P 3"]
     truth: Truth | None = None
     tracks: Callable[[], Tracks] | None = None  # reads them; None: nobody matched these points in these photos
     similarity: Similarity = IDENTITY  # to all of this from the coordinates of the world
@@ -148,8 +149,8 @@ class Scene:
         return extent(self.train_frames)
 
     @property
-    def camera_centers(self) -> np.ndarray:
-        """`[C, 3]` float64 centres of the frames' cameras in the world."""
+    def camera_centers(self) -> Float64[np.ndarray, "C 3"]:
+        """Centres of the frames' cameras in the world."""
         from gsjax.scene.cameras import viewmat_centers  # Loads jax, which a data set is read without.
 
         viewmats = np.array([frame.viewmat for frame in self.frames], np.float64).reshape(-1, 4, 4)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Bool, Float32, Int32, Num
 
 from gsjax.errors import InputError
 from gsjax.scene import Frame, Keep, Pixels, in_memory
@@ -26,17 +27,19 @@ class Batch:
     """
 
     camera: Camera  # of the padded photo
-    image: Array  # [H, W, 3] uint8, straight; decoded: 0..1, over the background
+    image: Num[Array, "H W 3"]  # uint8, straight; decoded: 0..1, over the background
     valid: Any  # [H, W] bool; None: all of the photo, until decoded
-    matte: Array | None  # [H, W] uint8; decoded: 0..1
-    normals: Array | None = None  # [H, W, 3] camera frame, times confidence, zero: none; int8 of `NORMAL_UNIT`, or 0..1
-    photo: Array | None = None  # [] int32 number of the photo in the run, where an effect has parameters for each
-    depth: Array | None = None  # [H, W] float32 measured camera z, scene units; zero where nothing was measured
-    trust: Array | None = None  # [H, W] uint8 confidence of the measured depth; decoded: 0..1
-    sky: Array | None = None  # [H, W] bool, where the photo shows open sky
+    matte: Num[Array, "H W"] | None  # uint8; decoded: 0..1
+    normals: Num[Array, "H W 3"] | None = (
+        None  # camera frame, times confidence, 0: none; int8 of `NORMAL_UNIT`, or 0..1
+    )
+    photo: Int32[Array, ""] | None = None  # number of the photo in the run, where an effect has parameters for each
+    depth: Float32[Array, "H W"] | None = None  # measured camera z, scene units; zero where nothing was measured
+    trust: Num[Array, "H W"] | None = None  # uint8 confidence of the measured depth; decoded: 0..1
+    sky: Bool[Array, "H W"] | None = None  # where the photo shows open sky
     size: Any = None  # [2] int32 width and height of the photo without padding; decoded: None
     beside: "Batch | None" = None  # another view of the same step, where a term compares two; decoded: None
-    turn: Array | None = None  # [] int32 number of the only step that it is for: other states stay; None: of any
+    turn: Int32[Array, ""] | None = None  # number of the only step that it is for: other states stay; None: of any
 
 
 @dataclass(frozen=True)

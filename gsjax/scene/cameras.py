@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from gsjax.numerics import times
 
@@ -22,8 +23,8 @@ NEAREST = 1e-6  # Camera z up to which a point is on the camera's plane, or behi
 class Camera:
     """A pinhole view. The matrices are traced, so a new pose or focal length never recompiles; the size is static."""
 
-    viewmat: Array  # [4, 4] rigid, world to camera
-    K: Array  # [3, 3] pixels: fx, fy, cx, cy
+    viewmat: Float[Array, "4 4"]  # rigid, world to camera
+    K: Float[Array, "3 3"]  # pixels: fx, fy, cx, cy
     width: int = field(metadata={"static": True})
     height: int = field(metadata={"static": True})
 
@@ -89,8 +90,8 @@ def project(point_cam: Array, camera: Camera) -> Array:
     return point_cam[:2] / z * jnp.stack([camera.K[0, 0], camera.K[1, 1]]) + camera.K[:2, 2]
 
 
-def pixel_rays(camera: Camera) -> Array:
-    """`[H, W, 3]` camera-frame ray through every pixel centre, with z = 1: times depth it is the point."""
+def pixel_rays(camera: Camera) -> Float[Array, "{camera.height} {camera.width} 3"]:
+    """Camera-frame ray through every pixel centre, with z = 1: times depth it is the point."""
     x = (jnp.arange(camera.width, dtype=camera.K.dtype) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     y = (jnp.arange(camera.height, dtype=camera.K.dtype) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     x, y = jnp.meshgrid(x, y)

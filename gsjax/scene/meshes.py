@@ -3,15 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float, Int32, UInt8
 
 
 @dataclass(frozen=True)
 class Mesh:
     """V vertices and F triangles in world coordinates."""
 
-    vertices: np.ndarray  # [V, 3] float32 world positions, scene units; float64 in files that lie far off
-    faces: np.ndarray  # [F, 3] int32 vertex indices, counter-clockwise seen from outside
-    colors: np.ndarray  # [V, 3] uint8 sRGB
+    vertices: Float[np.ndarray, "V 3"]  # float32 world positions, scene units; float64 in files that lie far off
+    faces: Int32[np.ndarray, "F 3"]  # vertex indices, counter-clockwise seen from outside
+    colors: UInt8[np.ndarray, "V 3"]  # sRGB
 
     @property
     def num_vertices(self) -> int:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, UInt8
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -53,8 +54,8 @@ def _shows(frame: Frame, points: np.ndarray) -> np.ndarray:
 
 
 def from_points(
-    points: np.ndarray,
-    colors: np.ndarray,
+    points: Float[np.ndarray, "P 3"],
+    colors: UInt8[np.ndarray, "P 3"] | Float[np.ndarray, "P 3"],
     *,
     capacity: int,
     sh_degree: int = 3,
@@ -67,8 +68,8 @@ def from_points(
     around it, not of the world as in 3DGS: a scene that is turned trains as it did before.
 
     Args:
-        points: `[P, 3]` world positions; if P exceeds the capacity, every P / capacity-th is taken.
-        colors: `[P, 3]` uint8 or 0..1 float.
+        points: World positions; if P exceeds the capacity, every P / capacity-th is taken.
+        colors: Of the points; floats are 0..1.
         capacity: Rows of the buffer. Those beyond the points are dead.
         sh_degree: Degree of the harmonics, zero above the constant band.
         opacity: Of every Gaussian.

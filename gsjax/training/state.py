@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Int32
 
 from gsjax.effects import simulation
 from gsjax.effects.simulation import NO_EFFECTS, Effects, EffectState
@@ -26,7 +27,7 @@ class TrainState:
     gaussians: Gaussians
     opt_state: Any
     statistics: Any  # [N] sums of the densification rule, see `gsjax.training.densification.rules`
-    step: Array  # [] int32 steps done
+    step: Int32[Array, ""]  # steps done
     effects: EffectState | None = None  # of those that are simulated
     # What `gsjax.densify` reads; a run's loop knows both itself.
     optimizer: Any = field(default=None, metadata={"static": True})

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from jax import Array
+from jaxtyping import Float
 
 from gsjax.errors import InputError
 from gsjax.training.terms import losses, multi_view, surface
@@ -32,8 +33,8 @@ class Term:
     Two terms are the same if their functions are: a function that was edited and run again is compiled again.
     """
 
-    loss: Callable[..., Array]
-    """(Gaussians, `gsjax.rendering.View`, `gsjax.scene.batches.Batch`) -> `[]`, a mean."""
+    loss: Callable[..., Float[Array, ""]]
+    """(Gaussians, `gsjax.rendering.View`, `gsjax.scene.batches.Batch`) -> a mean."""
 
     needs: Iterable[str] = frozenset()
     """Words of `NEEDS`. What nobody needs is neither rendered nor loaded."""
@@ -46,12 +47,12 @@ class Term:
         object.__setattr__(self, "needs", needs)
 
 
-def align_normals(estimator: Callable[..., Array], needs: Iterable[str] = ()) -> Term:
+def align_normals(estimator: Callable[..., Float[Array, "H W 3"]], needs: Iterable[str] = ()) -> Term:
     """The paper's regulariser with an estimator of one's own: mean of 1 - |cos| between its directions and the normals.
 
     Args:
-        estimator: (Gaussians, `gsjax.View` with depth, `gsjax.Camera`) -> `[H, W, 3]` directions in the camera's frame,
-            of any length; zero where there is none.
+        estimator: (Gaussians, `gsjax.View` with depth, `gsjax.Camera`) -> directions in the camera's frame, of any
+            length; zero where there is none.
         needs: Words of `NEEDS` in addition to depth, normals and the Gaussians.
     """
     return Term(losses.alignment_term(estimator), {"depth", "normals", "gaussians", *needs})
