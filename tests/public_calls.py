@@ -11,9 +11,17 @@ N, C, H, W, D = 7, 2, 16, 24, 5
 FLOATS = {(): "rate", (3,): "point", (N,): "opacities", (N, 3): "means scales", (N, 4): "quats", (N, 6): "triangles"}
 FLOATS |= {(N, 3, 3): "covars", (C, 4, 4): "viewmats", (C, 3, 3): "Ks", (C, 4): "radial_coeffs", (N, D): "colors"}
 FLOATS |= {(C, D): "backgrounds", (C, N, 2): "means2d extents slopes", (C, N): "depths compensations", (H, W): "depth"}
-FLOATS |= {(C, N, 3): "conics", (C, N, 3, 3): "covars_c", (C, N, D): "features", (C, H, W, 3): "channels"}
+FLOATS |= {(C, N, 3): "conics", (C, N, 3, 3): "covars_c", (C, N, D): "features", (C, H, W, 1): "channel"}
 FLOATS |= {(N, 9, D): "coeffs", (N, 1, D): "sh0", (N, 8, D): "shN", (N, 8): "weights", (H, W, 3): "image target"}
-INTEGERS = {(): "count", (9,): "splats", (13,): "offsets", (C, 2, 3): "isect_offsets", (C, H, W): "median"}
+FLOATS |= {(C, H, W, 3): "channels"}
+INTEGERS = {
+    (): "count",
+    (N,): "degrees",
+    (9,): "splats",
+    (13,): "offsets",
+    (C, 2, 3): "isect_offsets",
+    (C, H, W): "median",
+}
 TRUTHS = {(): "skipped", (N,): "seen", (H, W): "mask", (C, N): "visible", (C, 2, 3): "masks"}
 SIZE, IMAGE_SIZE = {"width": W, "height": H}, {"image_width": W, "image_height": H, "tile_size": 8, "backend": "xla"}
 TILES, LISTS, DENSE = {"tile_height": 2, "tile_width": 3}, {"backend": "xla", "capacity": 99}, {"backend": "reference"}
@@ -27,11 +35,13 @@ CALLS = [  # Name, its arrays (argument, or argument:array), its other arguments
     ("project", "means opacities viewmats Ks covars radial_coeffs", SIZE | LENS),
     ("count_pairs", "projection", GRID),
     ("bin_splats", "projection opacities masks", GRID | LISTS | {"rules": GSPLAT}),
+    ("bin_splats", "projection opacities:depths", GRID | LISTS | {"rules": GSPLAT}),
     ("blend", "projection opacities features pairs absgrad:slopes", GRID | {"backend": "xla", "with_median": True}),
     ("blend", "projection opacities:depths features pairs masks", GRID | {"backend": "xla"}),
     ("depth_channels", "projection", SIZE),
     ("depth_channels", "projection:flat", SIZE),
     ("blended_depth", "channels", {}),
+    ("blended_depth", "channels:channel", {}),
     ("median_depth", "projection median", {}),
     ("spherical_harmonics", "dirs:means coeffs masks:seen", {"degrees_to_use": 2}),
     ("spherical_harmonics_l0", "sh0", {}),
@@ -58,7 +68,9 @@ CALLS = [  # Name, its arrays (argument, or argument:array), its other arguments
     ("sdf_gradient", "gaussians camera", DENSE),
     ("render", "gaussians camera background:image extra:colors means2d_probe:probe", DENSE | {"with_depth": True}),
     ("render", "gaussians camera background:point active_degree:count", DENSE | {"with_axes": True}),
+    ("render", "gaussians camera active_degree:degrees", DENSE),
     ("from_points", "points colors:points", {"capacity": 9}),
+    ("from_points", "points colors:bytes", {"capacity": 9}),
 ]
 
 
@@ -73,5 +85,6 @@ def make_arrays():
     with jax.enable_x64(True):
         made["isect_ids"] = made["splats"].astype(jnp.int64)
     made |= {"moments": Moments(made["means"], made["means"]), "points": np.asarray(made["means"])}
+    made["bytes"] = made["points"].astype(np.uint8)
     made["camera"] = gsjax.Camera(made["viewmats"][0], made["Ks"][0], W, H)
     return made | {"gaussians": gsjax.from_points(made["points"], made["points"], capacity=N)}

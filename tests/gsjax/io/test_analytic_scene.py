@@ -5,10 +5,13 @@ import pycolmap
 import pytest
 import trimesh
 from PIL import Image
+from record_fields import check_fields
 from tqdm import tqdm
 
+import gsjax
 from gsjax.analytic import solids
 from gsjax.io import analytic_scene
+from gsjax.scene.batches import decode
 from gsjax.scene.cameras import unproject
 
 VIEWS, SIZE = 5, (36, 30)
@@ -39,6 +42,15 @@ def test_depth_normals_and_labels_are_those_of_a_new_trace(folder, cameras):
     np.testing.assert_allclose(normals["world"] @ rotation.T, normals["cam"], atol=3e-3)
     picture = np.asarray(Image.open(folder / "images/003.png"))
     np.testing.assert_allclose(picture / 255, view.colors, atol=0.51 / 255)
+
+
+def test_the_records_that_are_read_hold_what_their_fields_state(folder):
+    scene = gsjax.load_scene(folder)
+    frame, truth = scene.frames[0], scene.truth
+    view = jax.device_put(gsjax.read_views(scene.train_frames, normals=folder / "normals")[0])
+    records = scene, scene.tracks(), frame, frame.pixels(), truth, gsjax.read_mesh(truth.mesh)
+    for record in (*records, view, decode(view, jnp.zeros(3, jnp.float32))):
+        check_fields(record)
 
 
 def test_unprojected_depth_lies_on_the_surface(folder, cameras):
