@@ -71,6 +71,19 @@ def test_every_setting_exists_and_takes_the_value(page):
         config.parse(kind, config.override(whole, [assignment]))
 
 
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as MkDocs makes them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
+
+
+@pytest.mark.parametrize("page", [*PAGES, *BESIDE, *sorted((ROOT / "experiments/results").glob("*.md"))], ids=named)
+def test_every_anchor_is_a_heading(page):
+    links = re.findall(r"\]\(([^):#\s]*)#([^)\s]+)\)", page.read_text())
+    targets = [((page.parent / name).resolve() if name else page, anchor) for name, anchor in links]
+    assert not [(str(t), a) for t, a in targets if t.is_file() and t.suffix == ".md" and a not in anchors(t)]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_lines_of_prose_are_short(page):
     """Tables, pictures and code are not prose."""

@@ -72,7 +72,7 @@ def environment() -> dict[str, str]:
 
 
 def as_markdown(notebook: NotebookNode, name: str) -> tuple[str, dict[str, bytes]]:
-    """The page, with a link to the notebook, and its pictures by their paths beside it."""
+    """Return the page, with a link to the notebook, and its pictures by their relative paths."""
     text, resources = MarkdownExporter().from_notebook_node(notebook, {"output_files_dir": f"{name}_files"})
     title, rest = text.lstrip().split("\n", 1)
     return f"{title}\n\n[Download as a notebook]({name}.ipynb)\n\n{rest}", resources["outputs"]

@@ -112,7 +112,7 @@ SEEN_OTHERWISE = {
         )
     },
     "on the axis": {"means": (0.0, 0.0, 2.0)},
-    "beside the camera": {"means": (0.5, 0.1, 0.02), "scales": (0.3, 0.3, 0.3)},
+    "next to the camera": {"means": (0.5, 0.1, 0.02), "scales": (0.3, 0.3, 0.3)},
 }  # fmt: skip
 # Planes of depth, of every Gaussian: one channel, over one.
 PLANES = {"render_mode": "D", "depth_mode": "plane"}
