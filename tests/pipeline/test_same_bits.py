@@ -35,15 +35,10 @@ def trained(scene, folder, threads):
     return folder
 
 
-@pytest.fixture(scope="module")
-def with_two_threads(scene, tmp_path_factory):
-    return trained(scene, tmp_path_factory.mktemp("threads") / "two", 2)
-
-
 @pytest.mark.parametrize("threads", [1, 4])
-def test_any_number_of_threads(with_two_threads, scene, tmp_path, threads):
-    """After a resume: `test_training.py`."""
-    assert_same(trained(scene, tmp_path / "run", threads), with_two_threads)
+def test_any_number_of_threads(run, scene, tmp_path, threads):
+    """The run of this process has a thread for each core. After a resume: `test_training.py`."""
+    assert_same(trained(scene, tmp_path / "run", threads), run)
 
 
 def test_two_trainings_in_two_threads(run, scene, tmp_path):

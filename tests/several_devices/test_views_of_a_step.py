@@ -125,7 +125,10 @@ def together(rule, num_devices, **more):
     return step(data_parallel.replicate(start(rule), mesh), data_parallel.stack_views(views(), mesh), KEY)
 
 
-@pytest.mark.parametrize(("rule", "num_devices"), [("adc", 1), ("adc", 2), ("error", 2)])
+@pytest.mark.parametrize(
+    ("rule", "num_devices"),
+    [("error", 2), *(pytest.param("adc", count, marks=pytest.mark.long) for count in (1, 2))],
+)
 def test_a_step_over_four_views_is_the_mean_of_one_device_over_them(rule, num_devices):
     expected = one_by_one(rule)
     state, metrics = together(rule, num_devices)
