@@ -68,11 +68,11 @@ np.testing.assert_allclose(gradient.log_scales[1], [-1, 1, 0], atol=1e-6)
 # %% [markdown]
 # ## Give it a name and a weight
 #
-# A term is handed to a run under a name, with what it needs beside the image: `Term(loss, needs)`. This one reads the
-# Gaussians; others say "depth", "normals" or "neighbor", and what nobody needs is not computed. A phase gives the name
-# a weight. A bare function will do too: what it needs is found out. Before the first step every term is tried on shapes
-# alone, so that a mistake is one line at once. Edit the function, run its cell again, and the next training compiles
-# the new one.
+# A run takes a term under a name, with its inputs other than the image: `Term(loss, needs)`. This term reads the
+# Gaussians; others need "depth", "normals" or "neighbor". An input that no term needs is not computed. A phase gives
+# the name a weight. A bare function works too: its needs are detected. Before the first step every term is traced on
+# shapes alone, so that a mistake is one line at once. Edit the function, run its cell again, and the next training
+# compiles the new one.
 
 # %%
 own = {"needles": Term(needles, needs={"gaussians"})}

@@ -111,7 +111,7 @@ print(f"Chamfer distance {figures['chamfer']:.4f}, F-score {figures['fscore']:.2
 assert figures["chamfer"] < 0.05
 
 # %% [markdown]
-# **9. What it looks like**, beside the true surface: colours, and the shape alone under a lamp at the camera.
+# **9. Pictures of the mesh** and the true surface: colours, and the shape alone under a lamp at the camera.
 
 # %%
 camera = open_result("run").cameras[8]

@@ -88,8 +88,8 @@ print("gradient / length:", np.round(np.asarray(gradient / length), 3), " normal
 np.testing.assert_allclose(gradient / length, normal, atol=1e-2)
 
 # %% [markdown]
-# The length is not 1 but 1 / abs(n . r): f is measured along the ray, and a slanted surface is nearer than that. It
-# tells the viewing angle and nothing about trust, so only the direction is used.
+# The length is not 1 but 1 / abs(n . r): f is measured along the ray, and a slanted surface is nearer than that. The
+# length depends on the viewing angle alone and is no confidence, so only the direction is used.
 
 # %%
 np.testing.assert_allclose(length, 1 / abs(jnp.sum(normal * rays[20, 30])), rtol=2e-2)

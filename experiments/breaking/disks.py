@@ -7,7 +7,7 @@ from pathlib import Path
 
 from breaking.commands import COMMANDS, Rows, finished, start_command, whole
 
-TITLE = "A disk without room"
+TITLE = "A full disk"
 COLUMNS = "Command", "Its output", "Held"
 TIMES = 3
 PAGE = 4096  # A file takes whole ones.
