@@ -119,11 +119,13 @@ def record(evidence: Sequence[PhotoEvidence], verdict: Verdict, frames: Sequence
 
 def verdict_line(verdict: Verdict) -> str:
     """Return the verdict as one line."""
-    decision = f"{100 * verdict.share:.0f} % of the normals count" if verdict.is_accepted else "no normal counts"
+    decision = (
+        f"{100 * verdict.share:.0f} % of the normals have weight" if verdict.is_accepted else "no normal has weight"
+    )
     if verdict.evidence is None:
         return f"{decision}: {verdict.note}"
     return (
-        f"{decision}: photos agree by {verdict.evidence:.2f} +-{verdict.noise:.2f} (1 is wholly, 0 as maps that face"
+        f"{decision}: consistency {verdict.evidence:.2f} +-{verdict.noise:.2f} (1 is perfect, 0 as maps that face"
         f" their cameras, needed {verdict.threshold:g}), {verdict.note}"
     )
 

@@ -81,7 +81,7 @@ class NormalSource:
         """The maps, made of the Gaussians so far where the user gave none.
 
         Returns:
-            `[H, W, 3]` int8 a frame: 127 times the unit normal in the camera frame, times the gate's confidence; zero
+            `[H, W, 3]` int8 a frame: 127 times the unit normal in the camera frame, times the filter's confidence; zero
             where there is none.
 
         Raises:

@@ -154,7 +154,7 @@ def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, 
         pipeline.train(scene, tmp_path / "third", settings, warm_start=tmp_path / "run")
 
 
-def test_the_loop_compares_photos_as_often_as_the_gate_says(scene, tmp_path, monkeypatch):
+def test_the_loop_compares_photos_as_often_as_they_are_consistent(scene, tmp_path, monkeypatch):
     handed = []
 
     def follow(work, state, capacity):

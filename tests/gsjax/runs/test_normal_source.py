@@ -153,7 +153,7 @@ def test_axes_without_maps_or_that_are_none_are_refused_before_the_run_begins(fo
     assert not (tmp_path / "run").exists()
 
 
-def test_the_gate_makes_short_what_photos_do_not_agree_about_and_judges_once(tilted, tmp_path):
+def test_the_filter_scales_inconsistent_normals_and_runs_once(tilted, tmp_path):
     maps = NormalSource(tmp_path, None, None, FRAMES)(tilted, FRAMES)
     wrong = [m.copy() for m in maps]
     wrong[0][8:20, 8:20] = np.int8([0, -127, 0])
@@ -219,7 +219,7 @@ def test_a_verdict_that_is_damaged_or_gone_is_named(tmp_path, photos, fault):
 
 
 def leave_verdict(apart, folder, gaussians, frames, maps, depth_mode, *, keep, notify):
-    """In place of the gate: writes its verdict, and tells it."""
+    """In place of the filter: writes its verdict, and reports it."""
     photos = {frame.name: {"apart": degrees} for frame, degrees in zip(frames, apart, strict=True)}
     (folder / "gate.json").write_text(json.dumps({"photos": photos}))
     notify("they agree")
