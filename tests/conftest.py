@@ -103,14 +103,17 @@ def hard_cases():
     return ERRORS
 
 
-PROGRAMS = pytest.StashKey[tempfile.TemporaryDirectory]()
+STORE = pytest.StashKey[tempfile.TemporaryDirectory]()
 
 
 def pytest_configure(config):
-    """One store of compiled programs for all workers of this session: each would compile most of them anew."""
-    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # Set by now in the workers, which inherit it.
-        config.stash[PROGRAMS] = tempfile.TemporaryDirectory(prefix="gsjax-tests-")
-        store = {"compilation_cache_dir": config.stash[PROGRAMS].name, "persistent_cache_min_compile_time_secs": 0.1}
+    """One store of compiled programs and built-in scenes for all workers of this session."""
+    if "GSJAX_TEST_SCENES" not in os.environ:  # Set by now in the workers, which inherit it.
+        config.stash[STORE] = tempfile.TemporaryDirectory(prefix="gsjax-tests-")
+        os.environ["GSJAX_TEST_SCENES"] = config.stash[STORE].name
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        programs = f"{os.environ['GSJAX_TEST_SCENES']}/programs"
+        store = {"compilation_cache_dir": programs, "persistent_cache_min_compile_time_secs": 0.1}
         for name, value in store.items():
             jax.config.update(f"jax_{name}", value)
             os.environ[f"JAX_{name.upper()}"] = str(value)
@@ -127,8 +130,8 @@ def pytest_collection_finish():
 
 
 def pytest_unconfigure(config):
-    if PROGRAMS in config.stash:
-        config.stash[PROGRAMS].cleanup()
+    if STORE in config.stash:
+        config.stash[STORE].cleanup()
 
 
 def pytest_sessionfinish(session):

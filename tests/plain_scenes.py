@@ -113,9 +113,9 @@ def cast(boxes, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _photo(place: Place, viewmat: np.ndarray, gain: float) -> tuple[np.ndarray, np.ndarray]:
-    """`[H, W, 3]` float 0..255, means of four rays a pixel, and where nothing is met."""
+    """`[H, W, 3]` float 0..255, means of two rays a pixel, and where nothing is met."""
     origin, images, misses = -viewmat[:3, :3].T @ viewmat[:3, 3], [], []
-    for dx, dy in ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)):
+    for dx, dy in ((0.25, 0.25), (0.75, 0.75)):
         x, y = np.meshgrid(
             (np.arange(SIZE[0]) + dx - SIZE[0] / 2) / FOCAL, (np.arange(SIZE[1]) + dy - SIZE[1] / 2) / FOCAL
         )

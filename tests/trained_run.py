@@ -20,6 +20,9 @@ SETTINGS = {
 }
 
 
+FEW_POINTS = {"level": 0.1, "points": 5000}
+"""Options of a mesh of that run."""
+
 MASK = np.where(np.arange(48) < 44, np.uint8(255), np.uint8(0))[None] * np.ones((40, 1), np.uint8)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import jax
 import pytest
 from small_scenes import built_in
-from trained_run import MASK, SETTINGS
+from trained_run import FEW_POINTS, MASK, SETTINGS
 
 from gsjax import config, pipeline, runs
 from gsjax.io.images import write_image
@@ -43,3 +43,10 @@ def run(scene, tmp_path_factory) -> Path:
     assert summary["steps"] == 30
     assert summary["views"] == 2
     return folder
+
+
+@pytest.fixture(scope="session")
+def run_mesh(run, tmp_path_factory) -> tuple[Path, dict]:
+    """The mesh of the run and its report, from few points."""
+    file = tmp_path_factory.mktemp("mesh") / "mesh.ply"
+    return file, pipeline.mesh(run, file, **FEW_POINTS)

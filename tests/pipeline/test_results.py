@@ -3,13 +3,13 @@
 import json
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from small_graphs import small_lpips
+from trained_run import FEW_POINTS
 
 from gsjax import cli, pipeline
 from gsjax.errors import InputError
@@ -19,20 +19,18 @@ from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.metrics import geometry
 from gsjax.metrics.photos import score_images
 from gsjax.pipeline import demo
-from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, scene_of_run
 
 
-def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tmp_path):
-    report = pipeline.mesh(run, tmp_path / "mesh.ply", level=0.1, points=5000)
-    mesh = read_mesh(tmp_path / "mesh.ply")
-    assert len(mesh.faces) == report["faces"] > 100
+def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, run_mesh, tmp_path):
+    file, report = run_mesh
+    assert len(read_mesh(file).faces) == report["faces"] > 100
     assert (
         report["photo_refine"]["after"] < report["photo_refine"]["before"]
         and report["photo_refine"]["seen_share"] > 0.5
     )
     # Fewer than thirty steps on photos of forty pixels: near the surface, not on it.
-    figures = pipeline.evaluate(run, mesh=tmp_path / "mesh.ply", lpips=[small_lpips(tmp_path / "vgg.onnx")[0]])
+    figures = pipeline.evaluate(run, mesh=file, lpips=[small_lpips(tmp_path / "vgg.onnx")[0]])
     json.dumps(figures)
     assert 0 < figures["lpips_vgg"] != figures["lpips_vgg_3dgs"] > 0
     assert figures["floor"]["chamfer"] < 5e-4 < figures["chamfer"] < 0.2
@@ -47,12 +45,11 @@ def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp
     json_files.write(
         moved / "manifest.json", {**json_files.read(run / "manifest.json"), "scene": str(tmp_path / "gone")}
     )
-    options = {"level": 0.1, "points": 5000}
-    report = pipeline.mesh(moved, tmp_path / "mesh.ply", **options)
+    report = pipeline.mesh(moved, tmp_path / "mesh.ply", **FEW_POINTS)
     assert report["photo_refine"] is None
     told = f"mesh: goes on without its photos: {moved}: its data set is no longer in {tmp_path / 'gone'}; "
     assert told in capsys.readouterr().err
-    assert pipeline.mesh(run, tmp_path / "asked.ply", photo_refine=False, **options) == report
+    assert pipeline.mesh(run, tmp_path / "asked.ply", photo_refine=False, **FEW_POINTS) == report
     assert (tmp_path / "asked.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
 
 
@@ -142,7 +139,7 @@ def test_pictures_have_the_size_of_their_views(run, tmp_path):
     assert np.abs(photo.astype(float) - rendered).mean() < 60, "the same view, roughly"
 
 
-def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_path, monkeypatch):
+def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, scene, tmp_path, monkeypatch):
     asked = {}
 
     def train(given, folder, settings, warm_start):
@@ -151,9 +148,11 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_pat
         assert warm_start == (None if settings.schedule.vanilla else tmp_path / "demo/vanilla")
         shutil.copytree(run, folder)
 
-    small = SimpleNamespace(
-        train=train, mesh=partial(pipeline.mesh, level=0.1, points=5000), evaluate=pipeline.evaluate
-    )
+    def mesh(folder, out, points):
+        shutil.copy(run_mesh[0], out)
+        return run_mesh[1]
+
+    small = SimpleNamespace(train=train, mesh=mesh, evaluate=pipeline.evaluate)
     monkeypatch.setattr(demo, "pipeline", small)
     monkeypatch.setattr(demo.analytic_scene, "write", lambda folder, **_: scene)
     report = demo.run(tmp_path / "demo")
@@ -170,14 +169,6 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_pat
     assert json_files.read(tmp_path / "demo/report.json")["floor"] == report["floor"]
     with pytest.raises(InputError, match="this folder is not empty"):
         demo.run(tmp_path / "demo")
-
-
-def test_a_bare_file_of_gaussians_is_meshed_from_cameras_around_it(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(viewpoints, "SIZE", 64)
-    monkeypatch.setattr(viewpoints, "COUNT", 16)
-    report = pipeline.mesh(run / "gaussians.ply", tmp_path / "mesh.glb", level=0.1, points=3000)
-    assert report["faces"] > 0
-    assert (tmp_path / "mesh.glb").exists()
 
 
 def test_a_folder_without_gaussians_is_no_run(tmp_path):

@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pycolmap
 import pytest
-from trained_run import SETTINGS
+from trained_run import FEW_POINTS, SETTINGS
 
 from gsjax import config, pipeline, runs
 from gsjax.io import json_files
@@ -41,7 +41,7 @@ def moved(scene, out, scale, shift):
 
 
 @pytest.mark.parametrize("world", ["utm", pytest.param("a thousandth", marks=pytest.mark.long)])
-def test_a_run_is_the_same_in_another_world_and_lies_where_its_photos_do(world, run, scene, tmp_path):
+def test_a_run_is_the_same_in_another_world_and_lies_where_its_photos_do(world, run, run_mesh, scene, tmp_path):
     scale, shift = WORLDS[world]
     there = moved(scene, tmp_path / "scene", scale, shift)
     folder = tmp_path / "run"
@@ -59,15 +59,15 @@ def test_a_run_is_the_same_in_another_world_and_lies_where_its_photos_do(world, 
         place, other = (-np.array(r["viewmat"])[:3, :3].T @ np.array(r["viewmat"])[:3, 3] for r in (record, given))
         np.testing.assert_allclose(place, scale * other + shift, atol=1e-5 * scale)
 
-    options = {"level": 0.1, "points": 5000}
-    report, theirs = (pipeline.mesh(each, each / "asked.ply", **options) for each in (folder, run))
-    mesh, other = read_mesh(folder / "asked.ply"), read_mesh(run / "asked.ply")
+    files = tmp_path / "mesh.ply", run_mesh[0]
+    report, theirs = pipeline.mesh(folder, files[0], **FEW_POINTS), run_mesh[1]
+    mesh, other = map(read_mesh, files)
     low, high = (scale * end(other.vertices.astype(np.float64), axis=0) + shift for end in (np.min, np.max))
     np.testing.assert_allclose(mesh.vertices.min(axis=0), low, atol=0.1 * scale)
     np.testing.assert_allclose(mesh.vertices.max(axis=0), high, atol=0.1 * scale)
     cell = report["foreground"]["cell"]
     assert cell == pytest.approx(scale * theirs["foreground"]["cell"], rel=0.05)
-    ours, theirs = (pipeline.evaluate(each, mesh=each / "asked.ply") for each in (folder, run))
+    ours, theirs = (pipeline.evaluate(each, mesh=file) for each, file in zip((folder, run), files, strict=True))
     for name in ("chamfer", "depth_error", "threshold"):
         assert ours[name] == pytest.approx(scale * theirs[name], rel=0.05), name
     assert ours["floor"]["chamfer"] == pytest.approx(scale * theirs["floor"]["chamfer"], rel=0.05)

@@ -100,7 +100,9 @@ def test_an_ideal_edge_under_a_blur_is_so_wide(sigma, width):
     assert edge_width(stripes, ~usable) == 0 and edge_width(np.zeros((40, 40), np.float32), usable[:40, :40]) == 0
 
 
-@pytest.mark.parametrize("name", ["fox", "kitchen", "fern", "bunny_plane"])
+@pytest.mark.parametrize(
+    "name", ["fern", *(pytest.param(name, marks=pytest.mark.long) for name in ("fox", "kitchen", "bunny_plane"))]
+)
 def test_photos_that_are_all_blurred_are_named_and_sharp_ones_are_not(shared, name):
     scene = load_scene(shared / "data" / name)
     scene = replace(scene, frames=scene.frames[::4])

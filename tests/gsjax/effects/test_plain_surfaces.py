@@ -21,14 +21,39 @@ def diagnosis(place, **changes):
     return diagnose(photograph(place, **{"gains": 0.1} | changes)[0])
 
 
-@pytest.mark.parametrize("name", ROOMS)
+SHORT = {
+    "white ceiling under a lamp",
+    "blue ceiling by a window",
+    "ceiling and high bare walls",
+    "bare walls over a dado, window",
+    "a shaded studio",
+    "a corridor",
+    "a yard, blue",
+    "a street, overcast",
+    "a yard, glow of a town at night",
+    "a low glass front under clouds",
+    "a yard, flat grey",
+    "a yard, white",
+    "a high glass front",
+}
+"""One place of each kind; the others run with --long."""
+
+
+def places(*groups):
+    names = [name for group in groups for name in group]
+    return pytest.mark.parametrize(
+        "name", [name if name in SHORT else pytest.param(name, marks=pytest.mark.long) for name in names]
+    )
+
+
+@places(ROOMS)
 def test_a_plain_ceiling_or_wall_is_no_sky_and_no_backdrop(name):
     found = diagnosis(ROOMS[name])
     assert not found.effects["sky"].on and not found.effects["background"].on
     assert not found.sky
 
 
-@pytest.mark.parametrize("name", SKIES)
+@places(SKIES)
 def test_a_sky_whose_light_depends_on_the_direction_is_found(name):
     scene, truth = photograph(SKIES[name], gains=0.1)
     found = diagnose(scene)
@@ -38,7 +63,7 @@ def test_a_sky_whose_light_depends_on_the_direction_is_found(name):
             assert (found.sky[frame.name] & ~is_sky).sum() < 0.01 * is_sky.size
 
 
-@pytest.mark.parametrize("name", [*DOUBTFUL, *GLASS])
+@places(DOUBTFUL, GLASS)
 def test_where_nothing_tells_a_sky_from_plaster_no_surface_is_taken_away(name):
     found = diagnosis((DOUBTFUL | GLASS)[name])
     assert not found.effects["sky"].on and not found.sky

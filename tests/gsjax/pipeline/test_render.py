@@ -18,6 +18,7 @@ from gsjax.meshing.export import write_mesh, write_textured
 from gsjax.pipeline.render import picture_stems
 from gsjax.rendering import gallery
 from gsjax.report.pictures import depth_picture, depth_span
+from gsjax.runs import viewpoints
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.cameras import viewmat_center
@@ -141,8 +142,9 @@ def test_a_mesh_turns_in_its_vertex_colours_or_its_texture(tmp_path, box):
         assert np.nonzero(red)[0].mean() < np.nonzero(blue)[0].mean() - 3, "the red end is up"
 
 
-def test_a_mesh_has_depth_and_normals_and_is_seen_along_a_path(tmp_path, box):
+def test_a_mesh_has_depth_and_normals_and_is_seen_along_a_path(tmp_path, monkeypatch, box):
     """A camera 4 in front of the box's side at x = 6, which is 1 wide and 3 high."""
+    monkeypatch.setattr(viewpoints, "MESH_SIZE", 64)
     write_mesh(tmp_path / "m.ply", box)
     viewmat = np.array([[0, 1, 0, 3], [0, 0, -1, 40], [-1, 0, 0, 10], [0, 0, 0, 1.0]])
     poses = [{"viewmat": (viewmat + shift * np.eye(4, k=3)).tolist(), "fov": 60.0} for shift in (0, 0.1)]
@@ -157,7 +159,7 @@ def test_a_mesh_has_depth_and_normals_and_is_seen_along_a_path(tmp_path, box):
     assert rows == pytest.approx(2 * 55.4 * 1.5 / 4, abs=4) and columns == pytest.approx(55.4 / 4, abs=4)
     pipeline.render(tmp_path / "m.ply", tmp_path / "turn", views="turntable")
     depth, _ = read_image(tmp_path / "turn/turn_000_depth.png")
-    assert depth.shape == (512, 512, 3) and (depth[0] == 0).all() and (depth[256, 256] > 0).all()
+    assert depth.shape == (64, 64, 3) and (depth[0] == 0).all() and (depth[32, 32] > 0).all()
 
 
 @pytest.mark.parametrize(

@@ -201,10 +201,7 @@ def test_the_first_twenty_steps_of_each_phase_are_timed_and_the_compiling_ones_l
 
 
 def test_a_run_with_normals_and_depth_is_measured_and_nothing_multiplies():
-    phases = (
-        Phase("a", 500, density_control=True),
-        Phase("b", 100, Weights(depth_normal=0.1, pixel_normal=0.1), surface_every=4, surface_scale=2),
-    )
+    phases = (Phase("b", 100, Weights(depth_normal=0.1, pixel_normal=0.1), surface_every=4, density_control=True),)
     settings = SETTINGS.replace(schedule={"phases": phases}, supervision={"depth": "folder"}, model={"sh_degree": 0})
     whole, compiling = budget.measure(wall(5, num_points=40), settings)
     assert whole > 0 and compiling > 0
