@@ -25,11 +25,13 @@ ANEW, RESUME, NEVER = "anew", "resume", "never"
 
 DEMO = """
 import sys
+from gsjax import config
 from gsjax.cli import run_guarded
 from gsjax.cli.stopping import leave
 from gsjax.pipeline import demo
 demo.NUM_VIEWS, demo.SIZE = 9, (32, 32)
-demo.DEMO = {**demo.DEMO, "max_gaussians": 600, "phases": [{"name": "short", "steps": 20}], "density": {}}
+short = {"phases": [{"name": "short", "steps": 20}]}
+demo.DEMO = config.merge(demo.DEMO, {"model": {"max_gaussians": 600}, "schedule": short, "density": {}})
 leave(run_guarded(lambda: demo.run(sys.argv[-1]) and None))
 """
 
@@ -55,10 +57,10 @@ COMMANDS = {
     ),
     "mesh": Command(("mesh", "run", "--points", "4000", "--depth", "6", "--out"), "mesh.ply", needs=("train",)),
     "refine": Command(
-        ("refine", "run", "--mesh", "mesh.ply", "--steps", "40", "--faces", "800", "--out"),
+        ("refine", "run", "--mesh", "true.ply", "--steps", "40", "--faces", "800", "--out"),
         "refined",
         ("gaussians.ply", "mesh.ply", "mesh.glb"),
-        ("train", "mesh"),
+        ("train",),
         RESUME,
     ),
     "texture": Command(("texture", "run", "--mesh", "mesh.ply", "--out"), "textured.glb", needs=("train", "mesh")),
@@ -69,7 +71,7 @@ COMMANDS = {
     ),
     "eval": Command(("eval", "run", "--json"), "eval.json", needs=("train",)),
     "render": Command(("render", "run", "--out"), "pictures", ("*",), ("train",)),
-    "film": Command(("render", "run", "--turntable", "--seconds", "1", "--out"), "film.mp4", needs=("train",)),
+    "render to MP4": Command(("render", "run", "--turntable", "--seconds", "1", "--out"), "film.mp4", needs=("train",)),
     "share": Command(("share", "run", "--out"), "page.html", needs=("train",)),
     "report": Command(("report",), "reported", ("report.html",), ("train",), copy_of="run"),
     "compare": Command(("compare", "run", "refined", "--out"), "compared.html", needs=("train", "refine")),
@@ -84,7 +86,7 @@ COMMANDS = {
         ("train", "mesh"),
         copy_of="run",
     ),
-    "turntable": Command(
+    "render to GIF": Command(
         ("render", "mesh.ply", "--turntable", "--seconds", "0.4", "--out"), "turns.gif", needs=("mesh",)
     ),
     "convert": Command(("convert", "run"), "gaussians.spz", needs=("train",)),
@@ -112,7 +114,8 @@ from onnx import TensorProto, helper, save
 from gsjax.io import analytic_scene
 
 analytic_scene.write("scene", num_views=8, size=(64, 48))
-for file in Path("scene").glob("gt_*"):  # So few steps lead to no surface that could be scored.
+Path("scene/gt_mesh.ply").rename("true.ply")  # So few steps lead to no surface that could be scored, or refined.
+for file in Path("scene").glob("gt_*"):
     file.unlink()
 about = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ("b", 3, "h", "w")) for name in ("photo", "normal")]
 graph = helper.make_graph([helper.make_node("Identity", ["photo"], ["normal"])], "colours", about[:1], about[1:])

@@ -1,5 +1,6 @@
 """Video files (.mp4, .webm, .gif) that browsers play."""
 
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ def write_video(path: str | Path, pictures: Iterable[np.ndarray], fps: float, wi
         codec = cv2.VideoWriter.fourcc(*CODECS[temporary.suffix.lower()])
         writer = cv2.VideoWriter(str(temporary), cv2.CAP_FFMPEG, codec, fps, (width, height))
         if not writer.isOpened():
-            raise InputError(f"cannot write {path}: this OpenCV cannot encode VP9")
+            raise _unwritten(path, temporary, "OpenCV opened no writer of VP9")
         count = 0
         try:
             for picture in pictures:
@@ -54,12 +55,17 @@ def write_video(path: str | Path, pictures: Iterable[np.ndarray], fps: float, wi
         finally:
             writer.release()
         if _count_frames(temporary) != count:  # A full disk, of which OpenCV reports nothing.
-            raise InputError(f"cannot write {path}: not all of its {count} pictures are in it; is the disk full?")
+            raise _unwritten(path, temporary, f"not all of its {count} pictures are in it")
 
 
 def _write_gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
     first, *rest = (Image.fromarray(picture) for picture in pictures)
     first.save(path, save_all=True, append_images=rest, duration=max(round(1000 / fps), 20), loop=0)
+
+
+def _unwritten(path: str | Path, temporary: Path, fault: str) -> InputError:
+    left = shutil.disk_usage(temporary.parent).free
+    return InputError(f"cannot write {path}: {fault}; the disk has {left} bytes left")
 
 
 def _count_frames(path: Path) -> int:

@@ -1,6 +1,8 @@
 """Films come back picture by picture, and paths that are none are refused in one line."""
 
 import json
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -17,6 +19,8 @@ POSES = [
     {"viewmat": [[0, -1, 0, 2], [1, 0, 0, 3], [0, 0, 1, 4.5], [0, 0, 0, 1]], "fov": 60},
     {"viewmat": np.diag([1, -1, -1, 1]).tolist(), "fov": 40.0},
 ]
+UNOPENED = Mock(**{"VideoWriter.return_value.isOpened.return_value": False})
+"""OpenCV on a disk without room."""
 
 
 @pytest.mark.parametrize("name", ["film.mp4", "film.webm", "ü %03d.MP4"])
@@ -60,10 +64,17 @@ def test_a_film_that_is_stopped_or_cannot_be_written_leaves_nothing(tmp_path, na
         video_writer.write_video(tmp_path / "file" / name, [np.zeros((48, 64, 3), np.uint8)], 24.0, 64, 48)
 
 
-def test_a_film_that_lacks_pictures_is_refused(tmp_path, monkeypatch):
-    """As a full disk leaves it."""
-    monkeypatch.setattr(video_writer, "_count_frames", lambda path: 1)
-    with pytest.raises(InputError, match="not all of its 2 pictures are in it"):
+@pytest.mark.parametrize(
+    ("name", "replacement", "fault"),
+    [
+        ("_count_frames", lambda path: 1, "not all of its 2 pictures are in it"),
+        ("cv2", UNOPENED, "OpenCV opened no writer of VP9"),
+    ],
+)
+def test_a_film_that_a_full_disk_cuts_is_refused(tmp_path, monkeypatch, name, replacement, fault):
+    monkeypatch.setattr(video_writer, name, replacement)
+    monkeypatch.setattr(video_writer.shutil, "disk_usage", lambda folder: SimpleNamespace(free=512))
+    with pytest.raises(InputError, match=f"{fault}; the disk has 512 bytes left"):
         video_writer.write_video(tmp_path / "film.mp4", np.zeros((2, 48, 64, 3), np.uint8), 24.0, 64, 48)
     assert not list(tmp_path.iterdir())
 
