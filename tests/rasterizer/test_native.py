@@ -84,7 +84,7 @@ def test_sigma_is_the_first_texts(seed):
 
 
 @pytest.mark.parametrize("rules", [GSPLAT, INRIA], ids=["gsplat", "inria"])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_blend_and_unblend_are_the_first_texts(rules, seed):
     t, behind, lit, in_front, sigma, opacity = states(seed)
@@ -114,7 +114,7 @@ def test_blend_and_unblend_are_the_first_texts(rules, seed):
     assert_close(found[:, clear], expected[:, clear], why="t is divided by up to 0.01", rtol=1e-5, atol=1e-4)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 2**31), side=st.sampled_from([1, 8, 12, 32]), spread=st.sampled_from([0.02, 0.3, 2.0]))
 def test_lists_are_those_of_the_other_engine_to_the_last_entry(seed, side, spread):
     scene = cloud(60, cameras=2, seed=seed)
@@ -129,7 +129,7 @@ def test_lists_are_those_of_the_other_engine_to_the_last_entry(seed, side, sprea
     assert ours.needed == expected.needed and not ours.overflowed
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(
     seed=st.integers(0, 2**31),
     side=st.sampled_from([5, 8, 12, 16]),

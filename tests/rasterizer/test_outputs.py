@@ -13,9 +13,6 @@ from tolerances import assert_close
 import rasterizer
 from rasterizer import GSPLAT
 
-BACKENDS = ("reference", "native", "xla", "pallas")
-AT_NIGHT = {each: pytest.param(each, marks=pytest.mark.long) for each in BACKENDS if each != "native"}
-FIRST = [AT_NIGHT.get(each, each) for each in BACKENDS]
 TILE = 16
 SCENE = cloud(cameras=2)
 
@@ -38,9 +35,12 @@ def outputs(scene, extra, backend, options=()):
 EVERYTHING = (
     ("rasterize_mode", "antialiased"),
     ("render_mode", "RGB+ED"),
+    ("sh_degree", 1),
     ("return_median_depth", True),
     ("return_normals", True),
 )
+OF_ALL = cloud(cameras=2, channels=5, sh_degree=1)
+OF_ALL = replace(OF_ALL, backgrounds=jnp.pad(OF_ALL.backgrounds, ((0, 0), (0, 1)), constant_values=0.5))
 
 
 def with_masks():
@@ -48,14 +48,15 @@ def with_masks():
     return masks, masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SCENE.height, : SCENE.width]
 
 
-@pytest.mark.parametrize(
-    "backend", ["native", *(pytest.param(name, marks=pytest.mark.long) for name in ("pallas", "xla"))]
-)
-def test_everything_at_once_equals_the_reference(backend):
-    scene = replace(SCENE, backgrounds=jnp.pad(SCENE.backgrounds, ((0, 0), (0, 1)), constant_values=0.5))
-    extra = {"masks": jnp.asarray(with_masks()[0])}
-    expected_image, expected_alphas, expected_info, expected = outputs(scene, extra, "reference", EVERYTHING)
-    image, alphas, info, gradient = outputs(scene, extra, backend, EVERYTHING)
+@pytest.mark.device
+@pytest.mark.parametrize("backend", ["native", "pallas", pytest.param("xla", marks=pytest.mark.long)])
+@pytest.mark.parametrize("depth_mode", ["plane", pytest.param("center", marks=pytest.mark.long)])
+def test_everything_at_once_equals_the_reference(backend, depth_mode):
+    """Harmonics, many channels, two cameras, expected depth, antialiasing, masks, medians and normals."""
+    extra, options = {"masks": jnp.asarray(with_masks()[0])}, (*EVERYTHING, ("depth_mode", depth_mode))
+    image, alphas, info, gradient = outputs(OF_ALL, extra, backend, options)
+    expected_image, expected_alphas, expected_info, expected = outputs(OF_ALL, extra, "reference", options)
+    assert not info["overflowed"] and float(np.max(expected_alphas)) > 0.1
     assert_close((image, alphas), (expected_image, expected_alphas))
     assert_close(info["normals"], expected_info["normals"])
     assert_close(info["median_depths"], expected_info["median_depths"])
@@ -82,9 +83,7 @@ def composited(scene, camera=0, rules=GSPLAT):
     return np.array(weights), order, depths
 
 
-@pytest.mark.parametrize(
-    ("backend", "depth_mode"), [*((name, "center") for name in BACKENDS), ("native", "plane"), ("xla", "plane")]
-)
+@pytest.mark.parametrize(("backend", "depth_mode"), [("reference", "center"), ("native", "plane")])
 def test_median_depth_is_where_the_light_falls_to_one_half(backend, depth_mode):
     options = {"capacity": 4096, "return_median_depth": True, "depth_mode": depth_mode}
     info = jax.jit(lambda scene: render(scene, backend=backend, **options)[2])(SCENE)
@@ -123,15 +122,15 @@ def test_normals_are_the_smallest_axes_facing_the_camera():
     # A disc, tilted by 30 degrees about x, seen from the front: opacity 0.8 at its middle pixel.
     angle = np.pi / 6
     disc = single(scale=(0.5, 0.5, 0.001), quat=(np.cos(angle / 2), np.sin(angle / 2), 0, 0), size=17)
-    _, alphas, info = render(disc, return_normals=True, capacity=256)
+    _, alphas, info, _ = outputs(disc, {}, "native", EVERYTHING[-1:])
     normal = np.array([0, np.sin(angle), -np.cos(angle)])
     np.testing.assert_allclose(info["normals"][0, 8, 8], float(alphas[0, 8, 8, 0]) * normal, atol=1e-6)
     turned_over = replace(disc, quats=jnp.asarray([[0, 0, np.cos(angle / 2), np.sin(angle / 2)]], jnp.float32))
-    seen = render(turned_over, return_normals=True, capacity=256)[2]["normals"][0, 8, 8]
+    seen = outputs(turned_over, {}, "native", EVERYTHING[-1:])[2]["normals"][0, 8, 8]
     assert seen[2] < 0 and abs(np.linalg.norm(seen) - float(alphas[0, 8, 8, 0])) < 1e-6
     # A zero quaternion is the identity, a round Gaussian has some axis: all finite, and no gradient but to the turn.
     odd = replace(disc, quats=jnp.zeros((1, 4)), scales=jnp.full((1, 3), 0.3))
-    _, _, info, gradient = outputs(odd, {}, "xla", EVERYTHING[3:])
+    _, _, info, gradient = outputs(odd, {}, "native", EVERYTHING[-1:])
     assert np.isfinite(info["normals"]).all()
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
@@ -147,7 +146,7 @@ def test_normals_against_finite_differences(x64):
     direction = jnp.asarray(np.random.default_rng(2).normal(size=scene.quats.shape))
     step = 1e-6
     expected = (total(scene.quats + step * direction) - total(scene.quats - step * direction)) / (2 * step)
-    np.testing.assert_allclose(jnp.sum(jax.grad(total)(scene.quats) * direction), expected, rtol=1e-7)
+    np.testing.assert_allclose(jnp.sum(jax.jit(jax.grad(total))(scene.quats) * direction), expected, rtol=1e-7)
 
 
 def test_antialiasing_keeps_the_energy_of_what_is_smaller_than_a_pixel():
@@ -171,32 +170,6 @@ def test_antialiasing_keeps_the_energy_of_what_is_smaller_than_a_pixel():
     np.testing.assert_allclose(fair / classic, 0.9927, atol=1e-4)
 
 
-@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.long)])
-def test_covariances_in_place_of_quats_and_scales(backend):
-    expected_image, _, _, _ = outputs(SCENE, {}, "reference")
-    covars, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, compute_preci=False)
-    s = SCENE
-
-    @jax.jit
-    @partial(jax.grad, has_aux=True)
-    def drawn(covars):
-        image = rasterizer.rasterization(
-            s.means, None, None, s.opacities, s.colors, s.viewmats, s.Ks, s.width, s.height,
-            covars=covars, backgrounds=s.backgrounds, capacity=4096, backend=backend,
-        )[0]  # fmt: skip
-        return jnp.sum(image**2), image
-
-    gradient, image = drawn(covars)
-    assert_close(image, expected_image, rtol=1e-4, atol=1e-4, why="products of float32 covariances")
-    # Only the upper triangle is read.
-    lower = jnp.asarray(np.tril(np.ones((3, 3)), -1), jnp.float32)
-    np.testing.assert_array_equal(drawn(covars + 7 * lower[None])[1], image)
-    gradient = np.asarray(gradient)
-    assert np.isfinite(gradient).all() and np.all(
-        gradient[:, np.tril_indices(3, -1)[0], np.tril_indices(3, -1)[1]] == 0
-    )
-
-
 ODD = with_odd_one(cloud(), means=(0.1, -0.1, 2.0), opacities=0.7)
 
 
@@ -214,6 +187,22 @@ def drawn_by_covariances(covars, opacities):
     return jax.grad(loss, argnums=(0, 1), has_aux=True)(covars, ODD.means)
 
 
+def covariances():
+    return rasterizer.quat_scale_to_covar_preci(ODD.quats, ODD.scales, compute_preci=False)[0]
+
+
+def test_covariances_in_place_of_quats_and_scales():
+    (gradient, _), (image, _) = drawn_by_covariances(covariances(), ODD.opacities)
+    expected = evaluate(replace(ODD, backgrounds=jnp.zeros((1, 3))), "reference")[0]
+    assert_close(image, expected, rtol=1e-4, atol=1e-4, why="products of float32 covariances")
+    # Only the upper triangle is read.
+    lower = np.tril(np.ones((3, 3)), -1) > 0
+    changed = covariances() + 7 * jnp.asarray(lower, jnp.float32)[None]
+    np.testing.assert_array_equal(drawn_by_covariances(changed, ODD.opacities)[1][0], image)
+    gradient = np.asarray(gradient)
+    assert np.isfinite(gradient).all() and gradient[:, ~lower].any() and not gradient[:, lower].any()
+
+
 @pytest.mark.parametrize(
     "name, covar",
     {
@@ -227,7 +216,7 @@ def drawn_by_covariances(covars, opacities):
     }.items(),
 )
 def test_odd_covariances_are_drawn_or_hidden_but_never_disturb(name, covar):
-    covars, _ = rasterizer.quat_scale_to_covar_preci(ODD.quats, ODD.scales, compute_preci=False)
+    covars = covariances()
     odd = covars.at[-1].set(jnp.asarray(covar, jnp.float32))
     (d_covars, d_means), (image, visible) = drawn_by_covariances(odd, ODD.opacities)
     assert np.isfinite(image).all() and np.isfinite(d_covars).all() and np.isfinite(d_means).all()
@@ -240,26 +229,32 @@ def test_odd_covariances_are_drawn_or_hidden_but_never_disturb(name, covar):
     assert bool(visible[0, -1]) == (name in ("zero", "rank one"))
 
 
-@pytest.mark.parametrize("backend", FIRST)
+@pytest.mark.parametrize(
+    "backend", ["native", *(pytest.param(x, marks=pytest.mark.long) for x in ("reference", "xla", "pallas"))]
+)
 def test_a_masked_tile_is_background_and_the_rest_keeps_its_bits(backend):
     masks, drawn = with_masks()
     # One program for both: in another one the same sums may be taken in another order.
-    image, alphas, _, _ = outputs(SCENE, {"masks": jnp.ones((2, 2, 3), bool)}, backend)
-    assert_close(image, outputs(SCENE, {}, backend)[0])
-    masked_image, masked_alphas, _, gradient = outputs(SCENE, {"masks": jnp.asarray(masks)}, backend)
-    background = np.broadcast_to(np.asarray(SCENE.backgrounds)[:, None, None], image.shape)
+    options = (*EVERYTHING, ("depth_mode", "plane"))
+
+    def with_its(masks):
+        return outputs(OF_ALL, {"masks": jnp.asarray(masks)}, backend, options)
+
+    image, alphas, _, _ = with_its(np.ones((2, 2, 3), bool))
+    assert_close(image, render(OF_ALL, backend=backend, capacity=4096, tile_size=TILE, **dict(options))[0])
+    masked_image, masked_alphas, _, gradient = with_its(masks)
+    background = np.broadcast_to(np.asarray(OF_ALL.backgrounds)[:, None, None], image.shape)
     np.testing.assert_array_equal(masked_image, np.where(drawn[..., None], image, background))
     np.testing.assert_array_equal(masked_alphas, np.where(drawn[..., None], alphas, 0))
-    nothing = outputs(SCENE, {"masks": jnp.zeros((2, 2, 3), bool)}, backend)[3]
+    nothing = with_its(np.zeros((2, 2, 3), bool))[3]
     for field in GAUSSIAN_FIELDS:
         assert np.any(getattr(gradient, field))
         np.testing.assert_array_equal(getattr(nothing, field), 0)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("channels", [17, 128])
-def test_many_channels_are_those_rendered_alone(channels):
-    base = cloud(channels=128)
+def test_many_channels_are_those_rendered_alone():
+    channels, base = 128, cloud(channels=128)
     scene = replace(base, colors=base.colors[:, :channels], backgrounds=base.backgrounds[:, :channels])
     image, alphas, _, gradient = evaluate(scene, "xla")
     assert image.shape[-1] == channels

@@ -75,6 +75,11 @@ def maps(gaussians, camera, depth=None):
     return view.alphas, estimates
 
 
+@jax.jit
+def pixel_map(depth, camera):
+    return sdf.pixel_depth_map(None, View(None, None, depth, None), camera)
+
+
 ESTIMATORS = (sdf.sdf_gradient_map, sdf.pixel_depth_map, sdf.smallest_axis_map)
 
 
@@ -156,8 +161,7 @@ def test_on_a_ball_of_gaussians_with_its_exact_depth_the_normals_are_those_of_th
 
 def test_the_pixel_map_of_an_exact_plane_is_its_normal_and_nothing_at_the_border():
     normal = unit((0.3, 0.2, -1.0))
-    view = View(None, None, jnp.asarray(plane_depth(normal), jnp.float32), None)
-    found = np.asarray(sdf.pixel_depth_map(None, view, CAMERA))
+    found = np.asarray(pixel_map(jnp.asarray(plane_depth(normal), jnp.float32), CAMERA))
     assert angles(found[1:-1, 1:-1], np.broadcast_to(TURN @ normal, (34, 38, 3))).max() < 0.02
     for border in (found[0], found[-1], found[:, 0], found[:, -1]):
         assert not border.any()
@@ -167,8 +171,7 @@ def test_the_pixel_map_of_an_exact_plane_is_its_normal_and_nothing_at_the_border
 def test_the_pixel_map_counts_at_every_scale_and_focal_length(scale):
     # Neighbouring pixels of a photo are a thousandth of the depth apart: short steps, but no short directions.
     camera = cameras.Camera(CAMERA.viewmat, CAMERA.K * jnp.asarray([[50.0], [50.0], [1.0]]), 40, 36)
-    view = View(None, None, jnp.full((36, 40), scale, jnp.float32), None)
-    directions = sdf.pixel_depth_map(None, view, camera)
+    directions = pixel_map(jnp.full((36, 40), scale, jnp.float32), camera)
     sideways = jnp.broadcast_to(jnp.asarray([1.0, 0, 0]), directions.shape)
     assert float(sdf.misalignment(directions, sideways, jnp.ones((36, 40), bool))) == pytest.approx(1, abs=1e-5)
 
@@ -177,14 +180,12 @@ def test_uncovered_neighbours_leave_no_direction_and_no_nan():
     depth = np.full((36, 40), 3.0, np.float32)
     depth[10, 12] = 0
 
-    def total(depth):
-        return jnp.sum(sdf.pixel_depth_map(None, View(None, None, depth, None), CAMERA))
-
-    found = np.asarray(sdf.pixel_depth_map(None, View(None, None, jnp.asarray(depth), None), CAMERA))
+    found = np.asarray(pixel_map(jnp.asarray(depth), CAMERA))
     missing = ~found.any(-1)
     assert all(missing[r, c] for r, c in ((9, 12), (11, 12), (10, 11), (10, 13)))
     assert missing[1:-1, 1:-1].sum() == 4
-    assert bool(jnp.isfinite(jax.grad(total)(jnp.asarray(depth))).all())
+    gradient = jax.jit(jax.grad(lambda depth: jnp.sum(pixel_map(depth, CAMERA))))(jnp.asarray(depth))
+    assert bool(jnp.isfinite(gradient).all())
 
 
 # --- means that read no surface
@@ -268,10 +269,19 @@ def test_the_maps_do_not_depend_on_where_the_world_is():
 # --- the loss
 
 
+MOST = 50
+of_misalignment = jax.jit(jax.value_and_grad(sdf.misalignment))
+of_doubted = jax.jit(jax.value_and_grad(sdf.doubted_misalignment))
+
+
 def misaligned(directions, normals, valid=None):
-    directions, normals = (jnp.asarray(x, jnp.float32).reshape(1, -1, 3) for x in (directions, normals))
-    valid = jnp.ones(directions.shape[:2], bool) if valid is None else jnp.asarray(valid).reshape(1, -1)
-    return jax.value_and_grad(sdf.misalignment)(directions, normals, valid)
+    """The loss and its gradient; invalid pixels fill the rest, so that one program serves all."""
+    count = len(directions)
+    padded = (np.pad(np.asarray(x, np.float32), ((0, MOST - count), (0, 0)))[None] for x in (directions, normals))
+    valid = np.pad(np.ones(count, bool) if valid is None else valid, (0, MOST - count))[None]
+    value, gradient = of_misalignment(*padded, valid)
+    assert not np.any(gradient[:, count:])
+    return value, gradient[:, :count]
 
 
 def test_misalignment_is_the_mean_of_one_minus_the_unsigned_cosine():
@@ -291,7 +301,7 @@ def test_the_gradient_of_misalignment_equals_finite_differences(measure, x64):
     directions, normals = np.random.default_rng(2).normal(size=(2, 4, 3, 3))
     normals[1, 1] = 0
     valid = jnp.asarray(np.arange(12).reshape(4, 3) != 7)
-    check_grads(lambda d: measure(d, jnp.asarray(normals), valid), (jnp.asarray(directions),), 1, ["rev"])
+    check_grads(jax.jit(lambda d: measure(d, jnp.asarray(normals), valid)), (jnp.asarray(directions),), 1, ["rev"])
 
 
 def test_a_doubted_pixel_has_the_least_that_any_confidence_gives_it():
@@ -303,11 +313,11 @@ def test_a_doubted_pixel_has_the_least_that_any_confidence_gives_it():
     least = np.min(confidence * errors - sdf.DOUBT * np.log(confidence), axis=0)
     for index, expected in enumerate(least):
         valid = jnp.arange(len(turns))[None] == index
-        value, gradient = jax.value_and_grad(sdf.doubted_misalignment)(directions, normals, valid)
+        value, gradient = of_doubted(directions, normals, valid)
         assert float(value) == pytest.approx(expected, abs=1e-5)
         assert np.all(np.isfinite(gradient))
         if errors[index] <= sdf.DOUBT:
-            assert_close(value, sdf.misalignment(directions, normals, valid))
+            assert_close(value, misaligned(directions[0], normals[0], valid[0])[0])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
