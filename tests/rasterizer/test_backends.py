@@ -1,13 +1,12 @@
 """What the tile backends do beside the hard cases: no Gaussian, harmonics, depths, another preset, what is in front."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import GAUSSIAN_FIELDS, binned, cloud, evaluate, relative_errors, render, single, stacks
+from scenes import GAUSSIAN_FIELDS, binned, cloud, evaluate, relative_errors, render, single
 from tolerances import assert_close
 
 from rasterizer import GSPLAT, INRIA, Front, _reference, blend, spherical_harmonics
@@ -73,38 +72,6 @@ def test_inria_rules_pass_the_gradient_straight_through_the_clamp(backend):
         assert error < 1e-4, (field, error)
     _, _, _, blocked = evaluate(faint, backend=backend)
     assert abs(straight.opacities[0] - blocked.opacities[0]) > 0.01 * abs(blocked.opacities[0])
-
-
-@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.long), "pallas"])
-def test_channels_in_front_are_those_of_the_reference(backend):
-    """And so are the others, the light left and the median; 17 take more than one pass."""
-    scene, front, channels = stacks(), Front(2, 0.2), 17
-    projection, grid, pairs = binned(scene, 16)
-    rng = np.random.default_rng(3)
-    features = jnp.asarray(rng.normal(size=(1, len(scene.means), channels)), jnp.float32)
-    weights = jnp.asarray(rng.normal(size=(1, scene.height, scene.width, channels)), jnp.float32)
-
-    def tiles(splats, opacities, features):
-        return blend(splats, opacities, features, pairs, grid, backend=backend, front=front, with_median=True)
-
-    def dense(splats, opacities, features):
-        return _reference.composite(splats, opacities[None], features, grid.width, grid.height, GSPLAT, front)
-
-    def weighed(blended, numbers):
-        means2d, conics, *rest = numbers
-        image, left, median = blended(projection._replace(means2d=means2d, conics=conics), *rest)
-        return jnp.sum(image * weights) + jnp.sum(left), (image, left, median)
-
-    numbers = projection.means2d, projection.conics, scene.opacities, features
-    both = (jax.jit(jax.value_and_grad(partial(weighed, each), has_aux=True)) for each in (tiles, dense))
-    ((_, found), slopes), ((_, expected), right) = (each(numbers) for each in both)
-    assert_close(found[:2], expected[:2])
-    np.testing.assert_array_equal(found[2], expected[2])
-    whole, *_ = _reference.composite(projection, scene.opacities[None], features, grid.width, grid.height, GSPLAT)
-    assert float(jnp.abs(found[0] - whole).max()) > 0.1, "something shines through"
-    assert_close(found[0][..., :-2], whole[..., :-2])
-    for name, a, b in zip(("means2d", "conics", "opacities", "features"), slopes, right, strict=True):
-        assert np.linalg.norm(a - b) < 1e-4 * np.linalg.norm(b), name
 
 
 def layers(count, opacity):

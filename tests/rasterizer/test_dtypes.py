@@ -10,10 +10,6 @@ import pytest
 from scenes import cloud, loss
 from tolerances import assert_close
 
-from gsjax import rendering
-from gsjax.rendering import Drawable
-from gsjax.scene.cameras import Camera
-
 SCENE = cloud()
 # Powers of two and whole numbers: every dtype below holds them exactly.
 WHOLE = replace(
@@ -74,27 +70,3 @@ def test_float64_is_read_as_float32_but_by_the_reference(backend, x64):
     assert coarse.dtype == jnp.float32
     assert slopes["viewmats"].dtype == jnp.float64
     assert_close(image.astype(jnp.float32), coarse)
-
-
-def test_a_view_of_gsjax_too():
-    @jax.jit
-    @jax.value_and_grad
-    def colors(arrays, camera):
-        none = jnp.zeros((40, 0, 3), jnp.bfloat16)
-        scene = Drawable(arrays["means"], arrays["opacities"], arrays["colors"][:, None], none, *arrays["shapes"])
-        how = {"capacity": 2048, "background": jnp.ones(3, jnp.int32)}
-        return jnp.sum(rendering.render(scene, camera, **how, with_depth=True, extra=arrays["colors"]).colors ** 2)
-
-    mixed = cast(WHOLE, MIXED)
-    rounded = cast(mixed, dict.fromkeys(MIXED, jnp.float32))
-    values, slopes = [], []
-    for s in (mixed, rounded):
-        arrays = {"means": s.means, "opacities": s.opacities, "colors": s.colors, "shapes": (s.quats, s.scales)}
-        camera = Camera(s.viewmats[0], s.Ks[0], s.width, s.height)
-        value, slope = colors(arrays, camera)
-        values.append(value)
-        slopes.append(slope)
-    assert_close(*values)
-    for name in ("means", "opacities", "colors"):
-        assert slopes[0][name].dtype == MIXED[name]
-        np.testing.assert_array_equal(slopes[0][name], slopes[1][name].astype(MIXED[name]))

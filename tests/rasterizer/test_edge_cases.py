@@ -201,7 +201,7 @@ def few(request):
 
 @pytest.fixture
 def alone(request):
-    """The backends for what the kernels share with the native loops, or are asked elsewhere: one, or all with --long."""
+    """The backends for what all share, or are asked elsewhere: the native loops, or all with --long."""
     return BACKENDS if request.config.getoption("--long") else [each for each in BACKENDS if each == "native"]
 
 
@@ -291,8 +291,8 @@ def test_forty_copies_of_one_gaussian(agree_with_float64):
     np.testing.assert_allclose(image, np.asarray(alphas) * np.array(ORDINARY["colors"]), atol=1e-6)
 
 
-def test_an_image_of_one_pixel(agree_with_float64, few):
-    agree_with_float64("one pixel", cloud(20, size=(1, 1), channels=1), backends=few)
+def test_an_image_of_one_pixel(agree_with_float64, alone):
+    agree_with_float64("one pixel", cloud(20, size=(1, 1), channels=1), backends=alone)
 
 
 @pytest.mark.parametrize("opacity", [0.005, 0.9])

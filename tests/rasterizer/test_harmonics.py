@@ -10,7 +10,7 @@ import scipy.special
 from jaxprs import equations
 from tolerances import assert_close
 
-from rasterizer import harmonics, spherical_harmonics, spherical_harmonics_l0, upper_bands
+from rasterizer import harmonics, spherical_harmonics, upper_bands
 
 
 def unit_directions(count=50):
@@ -38,15 +38,6 @@ def test_every_basis_function_against_scipy(degree, x64):
     basis = spherical_harmonics(degree, jnp.asarray(directions), jnp.eye(count, dtype=jnp.float64)[None])
     expected = [real_harmonic(d, m, directions) for d in range(degree + 1) for m in range(-d, d + 1)]
     assert_close(basis, np.stack(expected, -1), rtol=0, atol=1e-12, why="zeros are compared; constants have 16 digits")
-
-
-@pytest.mark.parametrize("degree", range(5))
-def test_the_upper_bands_and_the_constant_one_are_all_bands(degree):
-    rng = np.random.default_rng(3)
-    directions, coeffs = rng.normal(size=(8, 3)), rng.normal(size=(8, (degree + 1) ** 2, 3))
-    directions, coeffs = jnp.asarray(directions, jnp.float32), jnp.asarray(coeffs, jnp.float32)
-    parts = spherical_harmonics_l0(coeffs[:, :1]) + upper_bands(directions, coeffs[:, 1:])
-    assert_close(parts, spherical_harmonics(degree, directions, coeffs))
 
 
 @pytest.mark.parametrize("shown", [0, 2])

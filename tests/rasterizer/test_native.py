@@ -115,13 +115,13 @@ def test_blend_and_unblend_are_the_first_texts(rules, seed):
 
 
 @settings(max_examples=4, deadline=None)
-@given(seed=st.integers(0, 2**31), side=st.sampled_from([1, 8, 12, 32]), spread=st.sampled_from([0.02, 0.3, 2.0]))
+@given(seed=st.integers(0, 2**31), side=st.sampled_from([1, 12]), spread=st.sampled_from([0.02, 0.3, 2.0]))
 def test_lists_are_those_of_the_other_engine_to_the_last_entry(seed, side, spread):
     scene = cloud(60, cameras=2, seed=seed)
     scene = replace(scene, scales=spread * scene.scales)
     rng = np.random.default_rng(seed)
     grid = TileGrid(2, scene.width, scene.height, side)
-    masks = jnp.asarray(rng.random((2, grid.tiles_y, grid.tiles_x)) < 0.7) if seed % 2 else None
+    masks = jnp.asarray(rng.random((2, grid.tiles_y, grid.tiles_x)) < (0.7 if seed % 2 else 1))
     ours, expected = (binned(scene, side, backend=each, masks=masks, capacity=200_000)[2] for each in ("native", "xla"))
     np.testing.assert_array_equal(ours.offsets, expected.offsets)
     total = int(expected.offsets[-1])
@@ -129,20 +129,16 @@ def test_lists_are_those_of_the_other_engine_to_the_last_entry(seed, side, sprea
     assert ours.needed == expected.needed and not ours.overflowed
 
 
-@settings(max_examples=2, deadline=None)
-@given(
-    seed=st.integers(0, 2**31),
-    side=st.sampled_from([5, 8, 12, 16]),
-    channels=st.sampled_from([1, 3, 4, 7, 11, 16]),
-    ending=st.sampled_from([0, 1, 4, 5]),
-    rules=st.sampled_from([GSPLAT, INRIA]),
+@pytest.mark.parametrize(
+    ("make_scene", "side", "channels", "ending", "rules"),
+    [(stacks, 5, 17, 2, GSPLAT), (cloud, 12, 7, 0, INRIA)],
 )
-def test_whole_tiles_equal_the_other_engines(seed, side, channels, ending, rules):
-    """Any side of a tile, any number of channels, any of them ending in front, in value and gradient."""
-    scene = (stacks if seed % 2 else cloud)(count=40)
+def test_whole_tiles_equal_the_other_engines(make_scene, side, channels, ending, rules):
+    """Odd sides, more channels than one pass has, the last ones in front, and the other preset: value and gradient."""
+    scene = make_scene()
     projection, grid, pairs = binned(scene, side)
-    front = Front(min(ending, channels), 0.2) if ending else None
-    rng = np.random.default_rng(seed)
+    front = Front(ending, 0.2) if ending else None
+    rng = np.random.default_rng(0)
     features = jnp.asarray(rng.normal(size=(1, 40, channels)), jnp.float32)
     weights = jnp.asarray(rng.normal(size=(1, scene.height, scene.width, channels)), jnp.float32)
 

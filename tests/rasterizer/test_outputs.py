@@ -250,19 +250,3 @@ def test_a_masked_tile_is_background_and_the_rest_keeps_its_bits(backend):
     for field in GAUSSIAN_FIELDS:
         assert np.any(getattr(gradient, field))
         np.testing.assert_array_equal(getattr(nothing, field), 0)
-
-
-@pytest.mark.long
-def test_many_channels_are_those_rendered_alone():
-    channels, base = 128, cloud(channels=128)
-    scene = replace(base, colors=base.colors[:, :channels], backgrounds=base.backgrounds[:, :channels])
-    image, alphas, _, gradient = evaluate(scene, "xla")
-    assert image.shape[-1] == channels
-    first = replace(base, colors=base.colors[:, :3], backgrounds=base.backgrounds[:, :3])
-    last = replace(base, colors=scene.colors[:, -3:], backgrounds=scene.backgrounds[:, -3:])
-    assert_close(image[..., :3], evaluate(first, "xla")[0])
-    assert_close(image[..., -3:], evaluate(last, "xla")[0])
-    _, expected_alphas, _, expected = evaluate(scene, "reference")
-    assert_close(alphas, expected_alphas)
-    for field, error in relative_errors(gradient, expected).items():
-        assert error < 1e-4, (field, error)

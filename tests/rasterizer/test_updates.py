@@ -111,8 +111,7 @@ def test_the_same_step_has_the_same_bits(backend):
 
 
 @BACKENDS
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("place", [0, 16_383, 16_384, 49_998])
+@pytest.mark.parametrize(("bad", "place"), [(np.nan, 0), (np.inf, 16_383), (-np.inf, 16_384), (np.nan, 49_998)])
 def test_one_number_that_is_not_finite_is_found_wherever_it_stands(backend, bad, place):
     all_finite = jax.jit(partial(rasterizer.all_finite, backend=backend))
     numbers = jnp.asarray(np.random.default_rng(0).normal(size=49_999) * 1e30, jnp.float32)

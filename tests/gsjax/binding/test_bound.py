@@ -57,7 +57,7 @@ def test_barycentric_coordinates_sum_to_one_and_are_symmetric(per_triangle):
     assert radius == pytest.approx({1: 0.28868, 3: 0.18301, 4: 0.14434, 6: 0.13397}[per_triangle], abs=5e-6)
 
 
-@pytest.mark.parametrize("per_triangle", LAYOUTS)
+@pytest.mark.parametrize("per_triangle", [1, 6])
 def test_means_lie_inside_their_triangle_and_the_thin_axis_is_its_normal(per_triangle):
     mesh = crumpled()
     bound = trained(mesh, per_triangle)
@@ -107,9 +107,8 @@ def test_colors_are_the_barycentric_mean_and_come_back_to_the_vertices():
 # --- moving
 
 
-@pytest.mark.parametrize("scale", [1.0, 2.5])
-def test_a_moved_mesh_takes_its_gaussians_along(scale):
-    mesh = crumpled()
+def test_a_moved_mesh_takes_its_gaussians_along():
+    mesh, scale = crumpled(), 2.5
     turn, shift = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix(), np.array([3.0, -1, 0.5])
     before = trained(mesh)
     after = replace(with_vertices(before, scale * mesh.vertices @ turn.T + shift), thickness=scale * THICKNESS)

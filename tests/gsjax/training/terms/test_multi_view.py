@@ -32,14 +32,10 @@ def beside(camera, right):
     return replace(camera, viewmat=camera.viewmat.at[0, 3].add(-right))
 
 
-def value_and_gradients(here, there, neighbor, valid=ALL):
-    """Of the term, to both depth maps."""
-    return _value_and_gradients(here, there, neighbor, valid)
-
-
 # Without LLVM's optimisations, as the session asks for, XLA's older emitters get one row of this gradient wrong.
 @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 3})
-def _value_and_gradients(here, there, neighbor, valid):
+def value_and_gradients(here, there, neighbor, valid=ALL):
+    """Of the term, to both depth maps."""
 
     def term(here, there):
         view = View(None, None, here, None, neighbor=Neighbor(neighbor, there, None))
@@ -267,9 +263,7 @@ def test_neighbours_look_the_same_way_and_stand_apart():
     assert np.bincount(found[3]).tolist() == [2, 2, 2, 0, 2]  # repeated in turn
     near = multi_view.nearest_views(around(np.array([0, 10, 21])), extent=2.0)
     assert [set(row) for row in near.tolist()] == [{1}, {0, 2}, {1}]  # 21 degrees are 1.46 apart: over half of 2
-
-
-def test_neighbours_look_the_same_way_to_within_thirty_degrees():
+    # To within thirty degrees.
     found = multi_view.nearest_views(around(np.array([0.0, 29.0, 59.5])), extent=20.0)
     assert [set(row) for row in found.tolist()] == [{1}, {0}, {2}]
 
