@@ -1,4 +1,3 @@
-import importlib.util
 import os
 import subprocess
 import sys
@@ -45,13 +44,6 @@ def test_without_a_gpu_its_script_says_so_in_one_line(tmp_path):
     done = run("rasterizer_gpu.py", folder=tmp_path)
     assert done.returncode == 2
     assert "no GPU: jax runs on 'cpu'" in done.stderr and len(done.stderr.splitlines()) == 1
-
-
-@pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
-def test_without_torch_gsplats_reference_is_one_line(tmp_path):
-    done = run("rasterizer_peers.py", "gsplat", folder=tmp_path)
-    message = "gsjax: error: gsplat: No module named 'torch': pip install gsplat torch"
-    assert (done.returncode, done.stderr.splitlines()) == (2, [message])
 
 
 def test_both_of_our_engines_draw_a_run_as_its_first_training_camera_sees_it(scripts, monkeypatch, tmp_path):

@@ -9,7 +9,6 @@ from gsjax import config, pipeline, runs
 from gsjax.errors import InputError
 from gsjax.report import tables
 from gsjax.settings import Settings
-from gsjax.training.plan import plan
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 STUDIES = sorted(path.stem for path in (EXPERIMENTS / "studies").glob("*.py"))
@@ -66,16 +65,6 @@ def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
     assert surface["vanilla"]["steps"] == round(mix * time)
     assert surface["SuGaR, sdf"]["steps"] == round(mix * time / sugar)
     assert {change["model"]["depth_mode"] for change in variants.values()} == {"front"}
-
-
-def test_rates_fall_over_each_variants_own_steps(compare):
-    """With the decay of another variant the last steps would have the lowest rates."""
-    from terms import make_terms
-
-    studied = compare.load_study("baselines")
-    for name, change in studied.variants.items():
-        planned = plan(config.parse(Settings, config.merge(studied.config, change)), make_terms(lambda: 1.0))
-        assert planned.rates.decay_steps == planned.steps, name
 
 
 def test_a_folder_of_another_study_or_config_is_not_mixed_in(compare, monkeypatch, tmp_path):

@@ -11,13 +11,10 @@ from pathlib import Path
 import pytest
 from small_scenes import built_in
 
-from gsjax import config
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import image_size
 from gsjax.meshing import read_mesh, read_textured
-from gsjax.settings import Settings
-from gsjax.training.plan import plan
 
 PATIENCE = 900  # seconds, on a machine with much else to do
 SETTINGS = (
@@ -65,37 +62,6 @@ def test_published_figures_are_those_that_the_paper_prints(scripts, shared):
     assert printed == list(published.PUBLISHED.values())
 
 
-def test_the_methods_that_the_paper_compares_with(scripts):
-    paper_run, terms = scripts("paper_run"), scripts("terms").make_terms(lambda: 1.0)
-    plain, sugar = (paper_run.run_settings("room", name, 0, [], []) for name in ("3dgs_30k", "sugar"))
-    assert plain["refinement"] is None and sugar["refinement"]["steps"] == 15_000
-    phases = [plan(config.parse(Settings, each["settings"]), terms).phases[-1] for each in (plain, sugar)]
-    weights = [{each.name: each.weight for each in phase.terms} for phase in phases]
-    image = {"l1": 0.8, "dssim": 0.2, "alpha": 0.1}
-    assert weights == [image, {**image, "sugar_sdf": 0.2}]
-
-
-def test_lambda_r_and_other_settings_may_be_a_scenes_own(scripts, monkeypatch):
-    scenes, reproduce = scripts("paper.scenes"), scripts("reproduce")
-    monkeypatch.setitem(scenes.SCENES, "garden", scenes.SCENES["garden"]._replace(lambda_r=0.4))
-
-    def weight(scene, *assignments):
-        return scenes.settings_of(scene, "paper_13k_7k", 0, assignments).schedule.phases[-1].weights["sdf_normal"]
-
-    assert (weight("room"), weight("garden")) == (0.2, 0.4)
-    groups = [
-        ["garden", "schedule.phases.surface.weights.sdf_normal=0.3"],
-        ["room", "model.sh_degree=2"],
-        ["garden", "seed=4"],
-    ]
-    options = reproduce.Options(["seed=1"], of_scenes=reproduce.by_scene(groups))
-    assert options.of("garden") == ["seed=1", "schedule.phases.surface.weights.sdf_normal=0.3", "seed=4"]
-    assert (options.of("room"), options.of("truck")) == (["seed=1", "model.sh_degree=2"], ["seed=1"])
-    assert weight("garden", *options.of("garden")) == 0.3
-    with pytest.raises(InputError, match="--set-scene gardn: none of room, counter"):
-        reproduce.by_scene([["gardn", "seed=1"]])
-
-
 # What lies under a root
 
 
@@ -107,16 +73,6 @@ def test_scenes_are_found_in_the_root_and_in_the_archives_folders(scripts, tmp_p
     found, faults = scripts("paper.scenes").discover(tmp_path)
     assert found == laid and not faults
     assert list(found) == ["room", "garden", "truck", "train", "playroom"], "the paper's order"
-
-
-def test_a_scene_that_cannot_be_scored_as_published_is_left_out_with_a_line(scripts, tmp_path):
-    place(tmp_path, "room", "images_2")
-    place(tmp_path, "garden", "images")
-    (tmp_path / "stump").mkdir()
-    found, faults = scripts("paper.scenes").discover(tmp_path)
-    assert list(found) == ["room"]
-    garden, stump = sorted(faults)
-    assert "has no images_4/" in garden and "is no data set" in stump
 
 
 def test_a_root_without_scenes_and_a_scene_twice_are_errors(scripts, tmp_path):
@@ -193,19 +149,6 @@ def test_finished_runs_are_not_done_again_and_more_may_be_asked(study):
     assert "30.50 ± 0.71" in table and "gsjax vanilla, Gaussians" in table and "vanilla, refined" not in table
 
 
-def test_a_stopped_run_goes_on_and_keeps_the_scores_that_it_has(study):
-    study.codes = {"kitchen": 1}
-    study.run()
-    table = (study.out / "tables.md").read_text()
-    kitchen = table[table.index("### kitchen") :].splitlines()
-    assert kitchen[4].startswith("| gsjax paper_6k_15k, Gaussians [")
-    assert "| 30.00 | 0.900 | - | - | 1 | 1 | measured |" in kitchen[4]
-    assert "| - | - | - | - | 0 of 1 |" in kitchen[5]
-    with pytest.raises(FileExistsError):  # of the stand-in: the folder is there, the run is started all the same
-        study.run()
-    assert study.started == [("kitchen", "paper_6k_15k", 0)]
-
-
 def test_other_settings_in_the_same_folder_are_an_error_before_any_run(study):
     study.run()
     with pytest.raises(InputError, match=r"was begun with another settings\.model"):
@@ -213,26 +156,6 @@ def test_other_settings_in_the_same_folder_are_an_error_before_any_run(study):
     with pytest.raises(InputError, match="max_gausians"):
         study.run("max_gausians=3")
     assert study.started == []
-
-
-def test_the_process_of_a_run_is_told_all_and_its_end_is_seen(scripts, monkeypatch, tmp_path):
-    reproduce = scripts("reproduce")
-    job = reproduce.Job("room", tmp_path, tmp_path / "out", "paper_13k_7k", 3)
-    script = tmp_path / "paper_run.py"
-    script.write_text("import json, sys; json.dump(sys.argv[1:], open(sys.argv[3] + '.json', 'w')); sys.exit(5)")
-    monkeypatch.setattr(reproduce, "__file__", str(tmp_path / "reproduce.py"))
-    assert (
-        reproduce.in_own_process(
-            job,
-            reproduce.Options(
-                ["model.sh_degree=2"], ["steps=3"], ["vgg.onnx"], {"room": ["schedule.sh_every=5"], "truck": ["c=3"]}
-            ),
-        )
-        == 5
-    )
-    told = ["room", str(tmp_path), str(job.out), "--schedule", "paper_13k_7k", "--seed", "3"]
-    told += ["--set", "model.sh_degree=2", "schedule.sh_every=5", "--refine", "steps=3", "--lpips", "vgg.onnx"]
-    assert json.loads((tmp_path / "out.json").read_text()) == told
 
 
 def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monkeypatch, tmp_path):
@@ -257,35 +180,6 @@ def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monke
     assert paper_run.is_finished(once()) and sorted(done) == sorted(names)
     once(lpips=["vgg.onnx"])
     assert done[len(names) :] == ["coarse", "refined"]
-
-
-def test_a_run_begins_in_the_one_that_saves_it_most_steps(scripts, tmp_path):
-    settings_of, terms = scripts("paper.scenes").settings_of, scripts("terms").make_terms(lambda: 1.0)
-
-    def trained(name, schedule, steps, *assignments, seed=0, status="done"):
-        run, settings = tmp_path / name, settings_of("room", schedule, seed, assignments)
-        (run / "checkpoints").mkdir(parents=True)
-        for step in steps:
-            (run / f"checkpoints/step_{step:07d}.npz").touch()
-        for file, held in {
-            "config": config.to_dict(settings), "plan": plan(settings, terms).record(), "manifest": {"status": status}
-        }.items():  # fmt: skip
-            (run / f"{file}.json").write_text(json.dumps(held))
-        return run
-
-    late = trained("late", "paper_6k_15k", (14_500, 15_000))
-    early = trained("early", "3dgs_30k", (6_500, 7_000), "schedule.phases.vanilla.steps=7000")
-    others = [
-        trained("other_rates", "paper_6k_15k", (15_000,), "rates.means=1e-3"),
-        trained("too_late", "sugar", (14_500, 15_000)),
-        trained("begun", "paper_6k_15k", (15_000,), status="training"),
-        tmp_path / "absent",
-    ]
-    nearest = scripts("paper.beginnings").nearest
-    longer, plain = (settings_of("room", schedule, 0) for schedule in ("paper_13k_7k", "3dgs_30k"))
-    assert nearest([early, *others, late], longer) == late
-    assert nearest([early, *others, late], plain) == early
-    assert nearest(others, longer) is None
 
 
 # All of it, on a tiny scene

@@ -37,24 +37,8 @@ def test_a_part_goes_on_where_it_was_stopped(scripts, part, tmp_path):
     )
 
 
-def test_every_part_tells_its_rows_before_it_measures(scripts, tmp_path):
-    for name, part in scripts("breaking").PARTS.items():
-        rows = part.rows(tmp_path)
-        assert rows and part.title and len(part.columns) > 1, name
-    assert not list(tmp_path.iterdir())
-
-
 def test_what_is_damaged_are_tests_that_there_are(scripts):
     damage = scripts("breaking.damage")
     for tests in damage.KINDS.values():
         file, _, test = tests.partition(" ")[0].partition("::")
         assert f"def {test or 'test_fuzz'}" in (damage.ROOT / file).read_text(), tests
-
-
-def test_programs_name_what_there_is(scripts):
-    modules = [scripts(f"breaking.{name}") for name in ("commands", "helps", "memory", "worlds")]
-    programs = [text for module in modules for text in vars(module).values() if isinstance(text, str) and "\n" in text]
-    imports = {line for program in programs for line in program.splitlines() if line.startswith("from gsjax")}
-    assert len(imports) > 9
-    for line in imports:
-        exec(line)

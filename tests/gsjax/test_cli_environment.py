@@ -1,7 +1,6 @@
 """The environment that commands set up before jax is loaded, and how commands end: exit codes, and one line of why."""
 
 import errno
-import logging
 import os
 import signal
 import subprocess
@@ -65,25 +64,6 @@ def test_windows_itself_is_refused_in_one_line():
     assert (done.returncode, done.stderr.splitlines()) == (2, [line])
 
 
-def test_a_plugin_of_jax_that_does_not_load_is_one_line(caplog):
-    logger = logging.getLogger("jax._src.xla_bridge")
-    environment.prepare()
-    try:
-        raise RuntimeError("Unable to load cuPTI. Is it installed?") from OSError("error 999")
-    except RuntimeError:
-        logger.exception(
-            f"{environment.PLUGIN_FAULT}: Exception when calling %s.initialize()", "jax_plugins.xla_cuda13"
-        )
-    logger.warning(f"{environment.PLUGIN_FAULT}: Plugin module %s does not exist", "a.b")
-    logger.error("another %s", "matter")
-    line = "gsjax: jax continues without a plugin that does not load"
-    assert [logging.Formatter().format(record) for record in caplog.records] == [
-        f"{line}: Unable to load cuPTI. Is it installed?",
-        f"{line}: {environment.PLUGIN_FAULT}: Plugin module a.b does not exist",
-        "another matter",
-    ]
-
-
 @pytest.mark.parametrize(("variables", "calls"), [({}, 3), ({"MALLOC_ARENA_MAX": "2"}, 0)])
 def test_freed_memory_stays_with_the_allocator_unless_the_user_sets_it(monkeypatch, variables, calls):
     for name in [name for name in os.environ if name.startswith("MALLOC_")]:
@@ -103,12 +83,6 @@ def test_help_imports_no_heavy_package():
     done = subprocess.run([sys.executable, "-c", show], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert all(command in done.stdout for command in ("train", "mesh", "render"))
-
-
-def test_python_dash_m_is_the_same_command():
-    done = subprocess.run([sys.executable, "-m", "gsjax", "train"], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert done.stderr.startswith("gsjax train: error: the following arguments are required")
 
 
 @pytest.mark.parametrize("flags", ["", "--xla_gpu_deterministic_ops=false", "--xla_gpu_deterministic_ops=true"])

@@ -50,3 +50,9 @@ def run_mesh(run, tmp_path_factory) -> tuple[Path, dict]:
     """The mesh of the run and its report, from few points."""
     file = tmp_path_factory.mktemp("mesh") / "mesh.ply"
     return file, pipeline.mesh(run, file, **FEW_POINTS)
+
+
+@pytest.fixture(scope="session")
+def run_scores(run, run_mesh) -> dict:
+    """The scores of the run with that mesh."""
+    return pipeline.evaluate(run, mesh=run_mesh[0])

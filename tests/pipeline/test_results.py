@@ -53,8 +53,13 @@ def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp
     assert (tmp_path / "asked.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
 
 
-def test_the_true_mesh_is_its_own_floor(run, scene):
-    figures = pipeline.evaluate(run, mesh=scene / "gt_mesh.ply")
+@pytest.fixture(scope="module")
+def scores_of_truth(run, scene):
+    return pipeline.evaluate(run, mesh=scene / "gt_mesh.ply")
+
+
+def test_the_true_mesh_is_its_own_floor(scores_of_truth):
+    figures = scores_of_truth
     assert figures["lpips_vgg_3dgs"] is None and "lpips_vgg" not in figures, "without weights"
     floor = figures["floor"]
     assert floor == {name: figures[name] for name in floor}
@@ -65,10 +70,10 @@ def test_the_true_mesh_is_its_own_floor(run, scene):
     assert floor["mesh_normal_error_deg"] < 0.5 * figures["normal_error_deg"]
 
 
-def test_a_mesh_away_from_the_truth_loses_no_other_figure(run, scene, tmp_path, capsys):
+def test_a_mesh_away_from_the_truth_loses_no_other_figure(run, scene, scores_of_truth, tmp_path, capsys):
     true = read_mesh(scene / "gt_mesh.ply")
     write_mesh(tmp_path / "far.ply", replace(true, vertices=true.vertices + np.float32([100, 0, 0])))
-    json_files.write(tmp_path / "before.json", expected := pipeline.evaluate(run, mesh=scene / "gt_mesh.ply"))
+    json_files.write(tmp_path / "before.json", expected := scores_of_truth)
     assert cli.main(["eval", str(run), "--mesh", str(tmp_path / "far.ply"), "--json", str(tmp_path / "e.json")]) == 0
     found, printed = json_files.read(tmp_path / "e.json"), capsys.readouterr()
     lost = {*geometry.SCORES, "mesh_normal_error_deg", "mesh_normal_error_median_deg", "mesh_normal_error_all_deg",
@@ -139,7 +144,7 @@ def test_pictures_have_the_size_of_their_views(run, tmp_path):
     assert np.abs(photo.astype(float) - rendered).mean() < 60, "the same view, roughly"
 
 
-def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, scene, tmp_path, monkeypatch):
+def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_scores, scene, tmp_path, monkeypatch):
     asked = {}
 
     def train(given, folder, settings, warm_start):
@@ -152,7 +157,7 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, scen
         shutil.copy(run_mesh[0], out)
         return run_mesh[1]
 
-    small = SimpleNamespace(train=train, mesh=mesh, evaluate=pipeline.evaluate)
+    small = SimpleNamespace(train=train, mesh=mesh, evaluate=lambda folder: run_scores)
     monkeypatch.setattr(demo, "pipeline", small)
     monkeypatch.setattr(demo.analytic_scene, "write", lambda folder, **_: scene)
     report = demo.run(tmp_path / "demo")

@@ -19,7 +19,6 @@ from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.planning import preparation, sparse_view_trial, sparse_views
 from gsjax.planning.sparse_views import Gain
 from gsjax.presets import PRESETS
-from gsjax.runs.result import scene_of_run
 from gsjax.settings import Settings
 from gsjax.training.plan import plan
 
@@ -98,15 +97,6 @@ def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run
     assert "each step reads its photo from the disk" in capsys.readouterr().err
     assert "each step reads its photo from the disk" in json_files.read(tmp_path / "run/manifest.json")["memory"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
-
-
-def test_a_run_keeps_the_number_of_gaussians_that_memory_bore_when_it_began(run, scene, tmp_path):
-    assert json_files.read(run / "plan.json")["max_gaussians"] == SETTINGS["model"]["max_gaussians"]
-    shutil.copytree(run, tmp_path / "run")
-    json_files.write(tmp_path / "run/plan.json", json_files.read(run / "plan.json") | {"max_gaussians": 300})
-    settings = config.parse(Settings, SETTINGS)
-    how = {"resume": True, "warm_start": None, "devices": 1}
-    assert preparation.ask(scene, tmp_path / "run", settings, {}, None, {}, **how).plan.max_gaussians == 300
 
 
 def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene, tmp_path, monkeypatch, capsys):
@@ -202,18 +192,6 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_pa
     assert not (tmp_path / "none").exists()
 
 
-def test_a_run_that_begins_within_a_phase_of_another_compares_with_the_normals_of_that_phase(run, scene, tmp_path):
-    *before, surface = SETTINGS["schedule"]["phases"]
-    shorter = config.merge(
-        SETTINGS, {"schedule": {"phases": [*before, {**surface, "steps": 5}]}, "rates": {"decay_steps": 30}}
-    )
-    pipeline.train(scene, tmp_path / "shorter", config.parse(Settings, shorter))
-    pipeline.train(scene, tmp_path / "whole", config.parse(Settings, SETTINGS), warm_start=tmp_path / "shorter")
-    assert (tmp_path / "whole/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
-    for file in (run / "normals").iterdir():
-        assert (tmp_path / "whole/normals" / file.name).read_bytes() == file.read_bytes()
-
-
 def test_held_out_photos_are_not_scored_where_opacities_have_just_been_reset():
     planned = plan(config.parse(Settings, PRESETS["paper_6k_15k"]))
     journal = SimpleNamespace(plan=planned, steps=15_000, evaluate_every=500, _ends={7000, 9000, 15_000})
@@ -272,16 +250,6 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
         pipeline.render(tmp_path / "run", tmp_path / "pictures", views="held_out")
 
 
-def test_a_run_is_scored_on_its_own_split_whatever_became_of_the_list(run, scene, tmp_path):
-    shutil.copytree(run, tmp_path / "run")
-    config_file = tmp_path / "run/config.json"
-    json_files.write(
-        config_file, config.merge(json_files.read(config_file), {"photos": {"hold_out": str(tmp_path / "gone.txt")}})
-    )
-    held_out = [record["name"] for record in json_files.read(run / "cameras.json") if record["held_out"]]
-    assert [frame.name for frame in scene_of_run(tmp_path / "run").held_out_frames] == held_out != []
-
-
 @pytest.mark.parametrize("fault", ["hold-out", "normals"])
 def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, capsys, fault):
     options = {"hold-out": ["--hold-out", str(tmp_path / "list.txt")], "normals": ["--normals", str(tmp_path / "maps")]}
@@ -308,11 +276,3 @@ def test_a_checkpoint_that_finds_no_room_ends_the_run_in_one_line(scene, tmp_pat
     with pytest.raises(InputError, match="step_0000007.npz: No space left on device"):
         pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS))
     assert len(runs.read_metrics(tmp_path / "run")) == 1, "what was logged before stays"
-
-
-def test_vanilla_is_the_same_run_without_its_terms(scene, tmp_path):
-    folder = tmp_path / "run"
-    pipeline.train(scene, folder, config.parse(Settings, config.merge(SETTINGS, {"schedule": {"vanilla": True}})))
-    terms = [set(record["terms"]) for record in runs.read_metrics(folder)]
-    assert terms == [{"l1", "dssim"}] * 6
-    assert not (folder / "normals").exists()

@@ -85,7 +85,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
 
 
-def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(scene, tmp_path, capsys):
+def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(run, scene, tmp_path, capsys):
     """The run's folder and those that read it know nothing of it, and the line says why."""
     shutil.copytree(scene, tmp_path / "scene")
     name = "007.png"  # what it shows others see too
@@ -93,19 +93,12 @@ def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(scene, tmp_path, capsy
     soft = gaussian_filter(photo.astype(np.float64), (2, 2, 0)).astype(np.uint8)
     write_image(tmp_path / "scene/images" / name, soft)
     short = {"schedule": {"phases": [{"name": "vanilla", "steps": 2}]}}
-    run, whole = tmp_path / "run", tmp_path / "whole"
-    pipeline.train(
-        tmp_path / "scene", run, config.parse(Settings, config.merge(SETTINGS, short, {"effects": {"names": "blur"}}))
-    )
+    settings = config.parse(Settings, config.merge(SETTINGS, short, {"effects": {"names": "blur"}}))
+    pipeline.train(tmp_path / "scene", tmp_path / "run", settings)
     assert f"train: too blurred, left out: {name}\n" in capsys.readouterr().err
-    pipeline.train(
-        tmp_path / "scene",
-        whole,
-        config.parse(Settings, config.merge(SETTINGS, short, {"effects": {"names": "exposure"}})),
+    assert json_files.read(tmp_path / "run/manifest.json")["effects"]["left_out"] == [name]
+    left, whole = (
+        [record["name"] for record in json_files.read(folder / "cameras.json")] for folder in (tmp_path / "run", run)
     )
-    assert json_files.read(run / "manifest.json")["effects"]["left_out"] == [name]
-    assert json_files.read(whole / "manifest.json")["effects"]["left_out"] == []
-    names = [[record["name"] for record in json_files.read(folder / "cameras.json")] for folder in (run, whole)]
-    assert set(names[1]) - set(names[0]) == {name}
-    assert [frame.name for frame in scene_of_run(run).frames] == names[0]
-    assert [frame.name for frame in scene_of_run(whole).frames] == names[1]
+    assert set(whole) - set(left) == {name}
+    assert [frame.name for frame in scene_of_run(tmp_path / "run").frames] == left

@@ -10,12 +10,11 @@ import pytest
 from scipy.special import expit
 from small_scenes import camera_at, cloud, plane
 from terms import sugar, surroundings
-from terms.sugar import Sample, sugar_density, sugar_sdf
+from terms.sugar import sugar_density, sugar_sdf
 from terms.surroundings import Around
 from tolerances import assert_close
 
 from gsjax.gaussians import is_alive, rotation_matrices
-from gsjax.meshing.density_field import Kernels
 from gsjax.rendering import View
 from gsjax.scene.batches import Batch
 
@@ -27,7 +26,6 @@ KEY = jax.random.key(3)
 DEPTH = jnp.full((36, 40), DISTANCE, jnp.float32)
 ALL = jnp.ones(COUNT, bool)
 TERMS = (sugar_sdf, sugar_density)
-FIELDS = ("means", "quats", "log_scales", "logit_opacities")
 WALL = plane((0.0, 0.0, -1.0), per_side=6, spacing=0.25, radius=0.2, opacity=0.3)
 
 
@@ -120,38 +118,6 @@ def test_the_terms_are_those_written_out_in_float64(gaussians, alone):
         assert_close(found, expected[index], rtol=1e-4, atol=0, why="float32 over deviations of a hundredth of a unit")
 
 
-def test_a_tilted_disc_is_told():
-    tilt = jnp.zeros((COUNT, 4)).at[14].set(jnp.asarray([0.1, 0.0, 0.1, 0.0]))
-    value, _ = value_and_gradient(sugar_density, replace(FLIPPED, quats=FLIPPED.quats + tilt))
-    assert float(value) > float(value_and_gradient(sugar_density, FLIPPED)[0]) + 1e-3
-
-
-def test_disagreement_weighs_normals_as_the_densitys_gradient_does(x64):
-    rng = np.random.default_rng(0)
-    means, axes = rng.normal(size=(5, 3)), np.linalg.qr(rng.normal(size=(5, 3, 3)))[0]
-    deviations, alpha = rng.uniform(0.3, 1, (5, 3)), rng.uniform(0.2, 0.9, 5)
-    whitening = axes.swapaxes(1, 2) / deviations[:, :, None]
-    normals, thickness = np.take_along_axis(axes, deviations.argmin(1)[:, None, None], 2)[..., 0], deviations.min(1)
-    point = means[0] + 0.3 * rng.normal(size=3)
-    offsets = point - means
-    density = alpha * np.exp(-0.5 * np.sum(np.einsum("kij,kj->ki", whitening, offsets) ** 2, -1))
-    facing = normals * np.where(normals @ normals[0] < 0, -1, 1)[:, None]
-    weights = density * np.abs(np.sum(offsets * facing, -1)) / thickness**2
-    apart = normals[0] - weights @ facing / weights.sum()
-
-    @jax.jit
-    @jax.value_and_grad
-    def disagreement(normals):
-        nearby = Kernels(*map(jnp.asarray, (means, whitening, alpha)))
-        sample = Sample(jnp.asarray(point), None, normals[0], nearby, None)
-        return sugar._disagreement(sample, normals, jnp.asarray(thickness))
-
-    value, gradient = disagreement(jnp.asarray(normals))
-    assert_close(value, np.sum(apart**2))
-    to_mean = weights / weights.sum() * np.where(normals @ normals[0] < 0, -1, 1)
-    assert_close(gradient, 2 * apart * (np.eye(5)[0] - to_mean)[:, None])
-
-
 @pytest.mark.parametrize("term", TERMS)
 def test_gradients_equal_finite_differences(term, x64):
     """Discs in parallel, whose normals agree: what the weights of the normals hold back is of second order there."""
@@ -190,18 +156,6 @@ def test_rows_are_drawn_alike_among_those_that_may_be():
     share = among.sum() / 70_000
     np.testing.assert_allclose(found[among] * share, 1, atol=5 * np.sqrt(share))
     assert set(np.asarray(sugar.choose_rows(KEY, jnp.zeros(5, bool), 9))) <= set(range(5))
-
-
-def test_the_distance_is_drawn_from_what_lies_at_the_depth():
-    behind = replace(WALL, means=WALL.means.at[::2, 2].add(1.0))  # 1.0 is a hundred of their deviations
-    opaque = replace(behind, logit_opacities=behind.logit_opacities.at[::2].add(5.0))
-    alone = surroundings.none_yet(COUNT)
-    values = [value_and_gradient(sugar_sdf, scene, nearest=alone) for scene in (behind, opaque)]
-    assert float(values[0][0]) == float(values[1][0]) > 0
-    assert not np.any(values[0][1][0].means[::2]) and np.any(values[0][1][0].means[1::2])
-    assert float(value_and_gradient(sugar_density, behind, nearest=alone)[0]) != float(
-        value_and_gradient(sugar_density, opaque, nearest=alone)[0]
-    )
 
 
 # --- hard cases

@@ -42,13 +42,6 @@ def test_nothing_of_a_held_out_photo_is_used():
     assert as_near_photos(frames, looks) == as_near_photos(frames, other)
 
 
-def test_a_photo_from_where_another_was_taken_has_its_gains():
-    frames, looks = ring()
-    beside = replace(frames[7], name="beside", held_out=True)
-    found = as_near_photos([*frames, beside], looks | {"beside": Appearance((0.0,) * 3, (0.0, 0.0))})
-    np.testing.assert_allclose(found["beside"].log_gains, looks["07"].log_gains, atol=1e-4)
-
-
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_the_unit_of_the_scene_does_not_matter(scale):
     frames, looks = ring()
@@ -70,11 +63,6 @@ def test_few_photos_and_photos_that_all_stand_in_one_place(count):
     looks = {f"{i}": Appearance((0.1 * i, 0.0, -0.1 * i), (0.0, 0.0)) for i in range(count)}
     found = as_near_photos([*frames, place], looks | {"held": Appearance((5.0,) * 3, (0.0, 0.0))})
     np.testing.assert_allclose(found["held"].log_gains, np.mean([look.log_gains for look in looks.values()], 0))
-
-
-def test_no_photo_held_out_is_nothing_told():
-    frames, looks = ring()
-    assert as_near_photos([replace(frame, held_out=False) for frame in frames], looks) == {}
 
 
 def test_photos_that_look_the_same_way_tell_more_than_nearer_ones_that_look_the_other_way():

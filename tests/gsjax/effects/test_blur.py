@@ -82,13 +82,6 @@ def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effe
     assert ("left out: 04.png\n" in capsys.readouterr().err) == bool(expected)
 
 
-def test_nobody_looks_where_nothing_is_asked():
-    scene = blurred(4)
-    looked = look_for_effects("none", scene)
-    assert looked.scene is scene
-    assert looked.diagnosis is None
-
-
 @pytest.mark.parametrize(("sigma", "width"), [(1.0, 2.5), (2.0, 5.0)])
 def test_an_ideal_edge_under_a_blur_is_so_wide(sigma, width):
     """Its steepest slope is the contrast over sigma times the square root of two pi."""

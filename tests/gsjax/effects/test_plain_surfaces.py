@@ -8,7 +8,7 @@ from plain_places import DOUBTFUL, GLASS, ROOMS, SKIES, ceiling, room
 from plain_scenes import photograph, plaster
 from tolerances import assert_close
 
-from gsjax.effects import parallax, sky
+from gsjax.effects import parallax
 from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.observations import observe
 from gsjax.planning.effects import choose_effects
@@ -96,13 +96,3 @@ def test_the_ceiling_of_a_box_is_met_where_its_height_says():
     top = np.quantile(seen.points[:, 2], 0.98)
     heights = ceiling_alone(eye, rays) * rays[:, 2] + eye[2]
     assert_close(heights, np.full(2, top), rtol=0.04, atol=0, why="a margin of the box")
-
-
-def test_score_is_that_of_the_likeliest_surface():
-    flat = parallax.Parallax(near=1.5, far=1.0, fixed=3.0, difference=0.02, blueness=0.0, blue_range=0.0)
-    assert sky.score(flat) == pytest.approx(1.5)
-    assert sky.score(flat._replace(far=0.6)) == pytest.approx(0.9)
-    assert sky.score(flat._replace(fixed=1.0)) == pytest.approx(1.0)
-    assert sky.score(flat._replace(near=1.1, blueness=0.9)) == pytest.approx(1.1), "of one blue: paint"
-    assert sky.score(flat._replace(near=1.1, blueness=0.9, blue_range=0.5)) == pytest.approx(1.375)
-    assert sky.score(flat._replace(near=1.0, blueness=0.9, blue_range=0.5)) == pytest.approx(1.0), "nothing to compare"

@@ -1,7 +1,6 @@
 import io
 import os
 import signal
-import subprocess
 import sys
 import time
 from functools import partial
@@ -82,40 +81,6 @@ def test_an_interrupt_here_ends_the_process_there(tmp_path):
         run_in_child(sleep, tmp_path / "pid", name="it", progress=partial(Interrupted, disable=True))
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
-
-
-def test_the_process_does_not_outlive_its_parent(tmp_path):
-    program = f"""
-from pathlib import Path
-from gsjax.io.child_process import run_in_child
-from {__name__} import quietly, sleep
-run_in_child(sleep, Path({str(tmp_path / "pid")!r}), name="it", progress=quietly)
-"""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    with subprocess.Popen([sys.executable, "-c", program], env=environment) as parent:
-        try:
-            assert within(120, lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text())
-        finally:
-            parent.kill()
-    assert within(120, lambda: not is_running(int((tmp_path / "pid").read_text())))
-
-
-def within(seconds, condition):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if condition():
-            return True
-        time.sleep(0.05)
-    return False
-
-
-def is_running(process):
-    """Not gone, and not a body that nobody has fetched yet."""
-    try:
-        with open(f"/proc/{process}/stat") as file:
-            return file.read().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def note(progress):

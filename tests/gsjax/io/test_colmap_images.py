@@ -130,10 +130,3 @@ def test_names_in_latin1_are_found_by_their_bytes_or_as_unicode(colmap_scene, te
 def test_a_single_image_is_refused(colmap_scene, count):
     with pytest.raises(InputError, match=f"{count} posed image in it"):
         load_scene(colmap_scene(count=count))
-
-
-def test_a_model_of_older_programs_has_no_rigs(colmap_scene):
-    root = colmap_scene()
-    (root / "sparse/0/rigs.bin").unlink()
-    (root / "sparse/0/frames.bin").unlink()
-    assert len(load_scene(root).frames) == 10

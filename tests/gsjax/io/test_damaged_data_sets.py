@@ -63,7 +63,7 @@ def cloud():
 def test_fuzz_transforms(tmp_path):
     file = stated(tmp_path)
     read_all(tmp_path)
-    assert min(fuzz_files(lambda: read_all(tmp_path), file, usual=150)) > 5
+    assert min(fuzz_files(lambda: read_all(tmp_path), file, usual=60)) > 5
 
 
 @pytest.mark.parametrize("text", [True, False])
@@ -76,7 +76,7 @@ def test_fuzz_colmap(colmap_scene, text):
         model.add_observation(point, pycolmap.TrackElement(number, 0))
     (model.write_text if text else model.write_binary)(root / "sparse/0")
     read_all(root)
-    assert min(fuzz_files(lambda: read_all(root), *sorted((root / "sparse/0").iterdir()), usual=150)) > 5
+    assert min(fuzz_files(lambda: read_all(root), *sorted((root / "sparse/0").iterdir()), usual=60)) > 5
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "tif", "webp", "gif", "bmp", "heic", "float.tif", "deep.png"])
@@ -120,7 +120,7 @@ def test_fuzz_arrays_and_normal_maps(tmp_path, suffix):
         load_truth(tmp_path, frames)
         normal_maps(maps, frames)["0.png"]()
 
-    assert fuzz_files(read, file, usual=80)[1] > (0 if suffix == "png" else 10)
+    assert fuzz_files(read, file, usual=40)[1] > (0 if suffix == "png" else 10)
 
 
 @pytest.mark.parametrize("name", ["bomb.npy", "bomb.npz"])
@@ -150,14 +150,14 @@ def test_fuzz_truth(tmp_path):
         for maps in (truth.depths, truth.labels):
             maps["0.png"]()
 
-    assert fuzz_files(read, depth, points, usual=80)[0]
+    assert fuzz_files(read, depth, points, usual=40)[0]
 
 
 def test_fuzz_lists_and_clouds(tmp_path):
     stated(tmp_path)
     names = tmp_path / "hold_out.txt"
     names.write_text("# of these\n0.png\n1.png\n")
-    fuzz_files(lambda: load_scene(tmp_path, hold_out=str(names)), tmp_path / "p.ply", names, usual=80)
+    fuzz_files(lambda: load_scene(tmp_path, hold_out=str(names)), tmp_path / "p.ply", names, usual=40)
 
 
 def test_whatever_is_in_the_place_of_a_file_is_one_line(tmp_path):

@@ -43,7 +43,7 @@ def test_fuzz_files_of_gaussians(tmp_path, name, write, read):
         if isinstance(found, Gaussians):
             assert all(np.isfinite(values).all() for values in vars(found).values() if not isinstance(values, str))
 
-    used, refused = fuzz_files(read_whole, path, usual=200)
+    used, refused = fuzz_files(read_whole, path, usual=80)
     assert refused
     assert used or name.endswith((".spz", ".sog")), "a checksum tells every damage of a packed file"
 
@@ -59,7 +59,7 @@ def test_fuzz_the_inside_of_spz(tmp_path):
         path.write_bytes(gzip.compress(damaged(whole, random)))
         read_spz(path)
 
-    assert all(fuzz(attempt, usual=200))
+    assert all(fuzz(attempt, usual=80))
 
 
 def test_fuzz_the_inside_of_sog(tmp_path):
@@ -78,10 +78,10 @@ def test_fuzz_the_inside_of_sog(tmp_path):
                 archive.writestr(member, content)
         assert all(np.isfinite(values).all() for values in vars(read_sog(path)).values() if not isinstance(values, str))
 
-    assert all(fuzz(attempt, usual=200))
+    assert all(fuzz(attempt, usual=80))
 
 
 def test_fuzz_points_in_ascii(tmp_path):
     path = tmp_path / "p.ply"
     path.write_bytes(ASCII)
-    assert all(fuzz_files(lambda: read_points(path), path, usual=200))
+    assert all(fuzz_files(lambda: read_points(path), path, usual=80))

@@ -48,9 +48,3 @@ def test_what_lies_beyond_the_circle_is_in_no_face(tmp_path):
 @pytest.mark.parametrize("picture", [LIT, NOISE, np.where(RADII[..., None] < 30, LIT, NOISE)])
 def test_photos_that_are_bright_to_their_corners_or_all_dark_tell_no_circle(tmp_path, picture):
     assert reaches(tmp_path, picture) == {math.inf}
-
-
-def test_photos_of_other_lenses_are_not_read():
-    lenses = [Lens("PINHOLE", 8, 8, (9, 9, 4, 4)), Lens("OPENCV_FISHEYE", 8, 8, (9, 9, 4, 4, 0, 0, 0, 0))]
-    photos = [Photo("0.png", Path("nowhere"), np.eye(4), lens) for lens in lenses]
-    assert with_image_circles(photos) == photos

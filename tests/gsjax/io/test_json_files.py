@@ -91,4 +91,4 @@ def test_what_is_no_json_is_told(tmp_path, data, message):
 def test_fuzz_json(tmp_path):
     path = tmp_path / "a.json"
     path.write_text(json.dumps(RIGHT))
-    assert all(fuzz_files(lambda: json_files.read(path, SHAPE), path, usual=300))
+    assert all(fuzz_files(lambda: json_files.read(path, SHAPE), path, usual=150))

@@ -175,9 +175,3 @@ def test_files_that_are_no_such_network_are_named_in_one_line(tmp_path, weights,
     assert "disk.onnx: is no graph of ALIKED" in refused("aliked", weights["disk"])
     assert "text.onnx: no ONNX graph" in refused("aliked", weights["aliked"], text)
     assert "other.onnx: is no graph of LightGlue" in refused("aliked", weights["aliked"], other)
-
-
-def test_an_opencv_without_the_network_says_which_has_it(tmp_path, monkeypatch):
-    monkeypatch.delattr(cv2, "DISK", raising=False)
-    with pytest.raises(InputError, match=r"has no DISK; version 5.0 or newer is needed: pip install"):
-        learned.find_features([], "disk", tmp_path / "disk.onnx", None, quietly)

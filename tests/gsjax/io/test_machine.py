@@ -72,12 +72,3 @@ def test_groups_of_either_version_around_the_process_count_and_cached_files_are_
     }
     monkeypatch.setattr(machine, "_text", lambda path: texts.get(str(path), ""))
     assert machine.free_memory() == 1200
-
-
-def test_the_peak_of_memory_is_the_process_s_own_and_cpu_flags_are_those_of_the_file(tmp_path):
-    (tmp_path / "status").write_text("VmPeak:\t 900 kB\nVmHWM:\t  512 kB\n")
-    assert machine.peak_memory(tmp_path / "status") == 512 * 1024
-    assert machine.peak_memory(tmp_path / "absent") > 2**20
-    (tmp_path / "cpuinfo").write_text("processor : 0\nflags\t\t: fpu avx512f\nprocessor : 1\nflags : other\n")
-    assert machine.cpu_flags(tmp_path / "cpuinfo") == {"fpu", "avx512f"}
-    assert machine.cpu_flags(tmp_path / "absent") == frozenset()

@@ -258,18 +258,6 @@ def test_distorted_maps_whose_size_does_not_tell_what_they_show_are_refused(dist
         read(np.zeros((100, 100, 3), np.float32))
 
 
-def test_places_of_maps_stay_in_their_folder_and_apart():
-    names = ("../photos/a.png", "left/b.jpg", "left/b.png", "/c.v2.jpg", "a.b")
-    places = {name: str(place) for name, place in map_places(frames(*names)).items()}
-    assert places == {
-        "../photos/a.png": "photos/a",
-        "left/b.jpg": "left/b.jpg",
-        "left/b.png": "left/b.png",
-        "/c.v2.jpg": "c.v2",
-        "a.b": "a",
-    }
-
-
 def test_maps_are_found_where_they_were_placed(tmp_path):
     views = frames("../photos/a.png", "left/b.jpg", "left/b.png")
     manifest = normal_folders.begin(tmp_path, {"network": "n"})

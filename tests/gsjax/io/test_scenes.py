@@ -162,24 +162,6 @@ def test_an_alpha_channel_of_one_value_is_no_matte_unless_it_is_zero(colmap_scen
     assert (second.pixels().matte is not None) == is_matte
 
 
-def test_pixels_are_read_when_they_are_asked_for(colmap_scene):
-    root = colmap_scene(count=2)
-    frames = load_scene(root).frames
-    assert {(f.width, f.height) for f in frames} == {(40, 30)}
-    (root / "images/000.png").write_bytes(b"")
-    with pytest.raises(InputError, match="000.png: not a whole image"):
-        frames[0].pixels()
-
-
-def test_a_photo_is_decoded_once_to_see_that_it_is_whole_until_it_changes(colmap_scene, capsys):
-    root = colmap_scene(count=4)
-    assert len(load_scene(root).frames) == 4
-    (root / "images/002.png").write_bytes((root / "images/002.png").read_bytes()[:-30])
-    for _ in range(2):
-        assert [frame.name for frame in load_scene(root).frames] == ["000.png", "001.png", "003.png"]
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 @pytest.mark.parametrize("pattern", ["{}.png", "{}.png.png"])
 def test_folder_masks_as_validity_and_as_matte(colmap_scene, pattern):
     root = colmap_scene(count=3)

@@ -145,18 +145,6 @@ def test_photos_are_paired_with_the_likest_and_with_the_next_by_name(monkeypatch
     assert len(set(pairs.connected_parts(count, neighbours))) == 1
 
 
-def test_parts_are_bridged_by_their_likest_pairs(monkeypatch):
-    monkeypatch.setattr(pairs, "_PARTNERS", 1)
-    matched = {(0, 1), (1, 2), (3, 4)}
-    scores = np.zeros((5, 5), int)
-    scores[1, 4] = scores[4, 1] = 9
-    scores[2, 3] = scores[3, 2] = 8
-    scores[0, 3] = scores[3, 0] = 7
-    assert pairs.bridging_pairs(scores, matched, set()) == {(1, 4), (2, 3)}
-    assert pairs.bridging_pairs(scores, matched, {(2, 3), (1, 4)}) == {(0, 3), (0, 4)}
-    assert pairs.bridging_pairs(scores, matched | {(2, 3)}, set()) == set()
-
-
 @pytest.mark.parametrize("place", ["photos/masks", "photos/Mask", "masks", "inner"])
 def test_masks_are_masks_of_photos_and_no_photos(tmp_path, place):
     """In the folder of photos, beside it, and where the folder given holds `images/` and `masks/`."""

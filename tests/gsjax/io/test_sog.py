@@ -7,7 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from packed_files import FIELDS, ROUNDING, clouds, some_gaussians, turns_apart
+from packed_files import FIELDS, ROUNDING, clouds, turns_apart
 from scipy.special import expit
 from tolerances import assert_close
 
@@ -179,9 +179,3 @@ def test_labels_and_quaternions_that_name_nothing_are_refused(tmp_path):
     parts = by_hand() | {"quats.webp": by_hand()["sh0.webp"]}
     with pytest.raises(InputError, match="g.sog: quaternions whose largest component is none of four"):
         read_sog(written_parts(tmp_path / "g.sog", parts))
-
-
-def test_the_same_gaussians_are_the_same_bytes(tmp_path):
-    for name in ("a.sog", "b.sog"):
-        write_sog(tmp_path / name, some_gaussians(5000, 1))
-    assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()

@@ -104,4 +104,4 @@ def test_fuzz_paths(tmp_path):
     def read():
         assert np.isfinite(read_keyframes(path).viewmats).all()
 
-    assert all(fuzz_files(read, path, usual=200))
+    assert all(fuzz_files(read, path, usual=100))

@@ -1,5 +1,4 @@
 import signal
-import sys
 
 import numpy as np
 import pytest
@@ -152,14 +151,6 @@ def test_triangles_without_area_lie_on_a_painted_point(mesh):
     assert texels_of(broken, cells(broken, SIZE)).points.shape[1] == 3
 
 
-def test_only_triangles_without_area_go_to_cells():
-    point = Mesh(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.full((3, 3), 7, np.uint8))
-    atlas = unwrap(point, 64)
-    texels = texels_of(point, atlas)
-    assert np.all(texels.points == 0)
-    assert np.all(texels.colors == 7)
-
-
 @pytest.mark.parametrize(
     "program",
     [f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "raise ImportError('xatlas')", "pass"],
@@ -168,10 +159,4 @@ def test_only_triangles_without_area_go_to_cells():
 def test_where_xatlas_fails_there_are_cells(mesh, monkeypatch, tmp_path, program):
     (tmp_path / "xatlas_process.py").write_text(program)
     monkeypatch.setattr(atlases, "XATLAS_PROCESS", tmp_path / "xatlas_process.py")
-    assert unwrap(mesh, SIZE).num_charts == mesh.num_faces
-
-
-def test_above_the_limit_there_are_cells_at_once(mesh, monkeypatch):
-    monkeypatch.setattr(atlases, "MOST_CHARTED_FACES", 1000)
-    monkeypatch.setattr(sys, "executable", "never called")
     assert unwrap(mesh, SIZE).num_charts == mesh.num_faces

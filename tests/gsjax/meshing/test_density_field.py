@@ -54,15 +54,6 @@ def test_density_is_the_papers_sum():
     np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-7)
 
 
-def test_gradient_is_the_derivative():
-    field = kernels(random_gaussians(16))
-    points = jnp.asarray(np.random.default_rng(2).normal(size=(50, 3)), jnp.float32)
-    closed = jax.vmap(density_gradient, (0, None))(points, field)
-    derived = jax.vmap(jax.grad(density), (0, None))(points, field)
-    assert float(jnp.abs(derived).max()) > 0.1
-    np.testing.assert_allclose(closed, derived, rtol=1e-4, atol=1e-6)
-
-
 def test_gradient_by_finite_differences_of_the_numpy_sum():
     gaussians = random_gaussians(16)
     point, step = np.array([0.2, -0.1, 0.3]), 1e-5

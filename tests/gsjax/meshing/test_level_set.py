@@ -118,11 +118,6 @@ def test_transparent_gaussians_do_not_make_density(ball):
     np.testing.assert_array_equal(surface.points, alone.points)
 
 
-def test_where_all_are_transparent_all_are_used(ball):
-    soft = replace(ball.gaussians, logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -0.2))
-    assert level_set.surface_points(soft, *ball.views, LevelSetOptions(num_points=100)).kernels == 2000
-
-
 def test_gaussians_with_nan_are_left_out(ball):
     poisoned = replace(ball.gaussians, means=ball.gaussians.means.at[7].set(jnp.nan))
     surface = level_set.surface_points(poisoned, *ball.views, LevelSetOptions(num_points=500))

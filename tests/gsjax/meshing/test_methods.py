@@ -91,12 +91,6 @@ def test_a_depth_without_normals_has_no_surface(ball):
         extract_mesh(ball.gaussians, [], [], method=depth_poisson(smoothed_depth_normals, 1000))
 
 
-def test_nothing_opaque_cannot_be_fused(ball):
-    blank = [p._replace(alphas=np.zeros_like(p.alphas)) for p in ball.pictures]
-    with pytest.raises(InputError, match="no pixel of 10 views"):
-        extract_mesh(ball.gaussians, ball.cameras, blank, method=tsdf())
-
-
 def test_a_grid_that_no_machine_holds_is_refused():
     camera = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(16, 16))
     depth = np.full((16, 16), 3.0, np.float32)
@@ -125,12 +119,6 @@ def test_a_box_with_nothing_in_it_is_one_line_for_all(ball, method):
         extract_mesh(
             ball.gaussians, *ball.views, method=method, regions=partial(lambda _: regions.fixed_boxes(nowhere))
         )
-
-
-def test_the_table_is_the_methods_that_auto_tries_in_order():
-    assert list(METHODS) == ["poisson", "agreed", "tsdf"]
-    assert methods_of("auto", MethodOptions(level=0.2, points=5, depth=7, trim_quantile=0.1, cell=0.1)) == METHODS
-    assert methods_of("tsdf", MethodOptions(cell=0.1)) == {"tsdf": METHODS["tsdf"]}
 
 
 def test_one_entry_registers_a_method_for_its_name_the_help_and_auto(monkeypatch):

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from small_scenes import discs
 
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import knn, level_set, neighborhood
+from gsjax.meshing import level_set, neighborhood
 from gsjax.meshing.knn import nearest_table
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.neighborhood import Neighborhood
@@ -80,12 +80,3 @@ def test_large_gaussians_are_found_from_afar_by_their_density():
 def test_fewer_gaussians_than_neighbours():
     assert sorted(nearest_table(KDTree(np.eye(3)), 16)[0]) == [0, 1, 2]
     assert nearest_table(KDTree(np.zeros((1, 3))), 16).tolist() == [[0]]
-
-
-def test_neighbours_are_the_same_in_any_chunks(monkeypatch):
-    points = np.random.default_rng(0).normal(size=(500, 3))
-    whole = nearest_table(KDTree(points), 16)
-    monkeypatch.setattr(knn, "TREE_CHUNK", 70)
-    np.testing.assert_array_equal(nearest_table(KDTree(points), 16), whole)
-    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    np.testing.assert_array_equal(whole, np.argsort(distances, axis=1)[:, :16])

@@ -75,15 +75,6 @@ def test_where_photos_say_nothing_a_sheet_stays():
     assert report["before"] < 0.01
 
 
-def test_what_has_no_texture_follows_what_has(frames):
-    def half(x, y):
-        return np.where(x[..., None] > 0, texture(x, y), 0.5)
-
-    refined, _ = refine_on_photos(sheet(0.6 * PIXEL), [photo(eye, half) for eye in EYES])
-    plain = refined.vertices[:, 0] < -0.2
-    assert np.abs(refined.vertices[plain, 2]).max() < 0.3 * PIXEL
-
-
 @pytest.mark.parametrize("kind", ["valid", "matte"])
 def test_masked_pixels_and_hidden_sheets_tell_nothing(frames, kind):
     masked = [with_pixels(f, f.pixels()._replace(**{kind: np.zeros(SIZE[::-1], np.uint8)})) for f in frames]

@@ -18,22 +18,6 @@ def test_a_box_that_is_none_is_one_line(low, high):
     assert "\n" not in str(caught.value)
 
 
-def test_distances_are_to_the_nearest_point_of_the_box():
-    points = np.array([[0.0, 0.5, -1.0], [1.0, 1.0, 3.0], [4.0, 5.0, 0.0]])
-    np.testing.assert_allclose(UNIT.distances(points), [0.0, 2.0, 5.0])
-
-
-def test_growing_and_scaling_keep_the_middle():
-    box = Box((0, 0, 0), (2, 4, 6))
-    grown, scaled = box.grown(0.5), box.scaled(4)
-    np.testing.assert_allclose([grown.low, grown.high], [[-0.5] * 3, [2.5, 4.5, 6.5]])
-    np.testing.assert_allclose([scaled.low, scaled.high], [[-3, -6, -9], [5, 10, 15]])
-    assert box.longest == 6
-    shrunk = box.grown(-10)
-    assert np.all(shrunk.low < shrunk.high)
-    np.testing.assert_allclose(shrunk.low + shrunk.high, box.low + box.high)
-
-
 def test_a_region_leaves_its_inner_box_out():
     far = Region(UNIT.scaled(4), without=UNIT)
     points = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.01, 0, 0], [4.0, 4, 4], [4.01, 0, 0]])

@@ -119,13 +119,6 @@ def test_a_hidden_wall_does_not_receive_the_colour_of_the_one_before_it():
     assert is_seen[~on_back & (radius < 0.3)].all()
 
 
-def test_unseen_texels_have_the_colour_of_the_vertices():
-    mesh = turned(wall())
-    textured, report = texture_mesh(mesh, [camera((0, 0, 3))], [picture([1, 1, 1])], size=64, unwrap=flat_layout)
-    assert report["seen_share"] == 0
-    assert np.all(textured.texture == UNSEEN)
-
-
 def test_views_count_by_the_pixels_that_a_unit_of_surface_covers():
     mesh = wall(half=0.05)
     views = [camera((0, 0, 2.0)), camera((0, 0, 4.0)), camera((0, 3.0, 3.0))]
@@ -156,14 +149,6 @@ def test_pictures_that_do_not_show_the_surface_are_left_out(name, shown):
     assert seen_of(mesh, [view], [picture([1, 0, 0], 0.97 * depth)])[2].any()
 
 
-def test_half_covered_pixels_give_their_straight_colour():
-    mesh, view = wall(), camera((0.2, 0.3, 3.0))
-    alphas = np.full((HEIGHT, WIDTH), 0.6, np.float32)
-    _, colors, is_seen = seen_of(mesh, [view], [picture([0.2, 0.4, 1.0], alphas=alphas)])
-    assert is_seen.any()
-    assert np.abs(colors[is_seen] - np.array([51, 102, 255])).max() <= 1
-
-
 def test_beyond_the_picture_and_behind_the_camera_nothing_is_seen():
     mesh = wall(half=2.0)
     views = [camera((0, 0, 1.0)), camera((0, 0, 1.0), target=(0, 0, 2.0))]
@@ -176,15 +161,6 @@ def test_beyond_the_picture_and_behind_the_camera_nothing_is_seen():
         np.testing.assert_array_equal(is_seen[inside], True)
         outside = (z < 0) | (columns < 0.4) | (columns > WIDTH - 0.4) | (rows < 0.4) | (rows > HEIGHT - 0.4)
         assert not is_seen[outside].any()
-
-
-def test_chunks_change_nothing(monkeypatch):
-    mesh, view = wall(), camera((0.5, 0.3, 2.0))
-    shown = [picture(pattern(on_plane(view, 0.0)[0]))]
-    in_parts = seen_of(mesh, [view], shown)[1:]
-    monkeypatch.setattr(texture, "TEXELS_AT_ONCE", 1 << 13)
-    for ours, whole in zip(in_parts, seen_of(mesh, [view], shown)[1:], strict=True):
-        np.testing.assert_array_equal(ours, whole)
 
 
 def test_triangles_left_out_beforehand_would_not_have_been_seen(monkeypatch):

@@ -56,17 +56,6 @@ def test_the_two_ranges_of_vgg_are_named_apart(tmp_path):
     assert measures["lpips_vgg_3dgs"](image, image) == 0
 
 
-@pytest.mark.parametrize("kind", ["alex", "squeeze"])
-def test_other_networks_are_told_by_their_channels(tmp_path, kind):
-    file, features, weights = small_lpips(tmp_path / "other.onnx", kind)
-    image, target = pictures()
-    (name, measure), = lpips_measures([file]).items()  # fmt: skip
-    assert name == f"lpips_{kind}"
-    expected = published(features(2 * image - 1), features(2 * target - 1), weights)
-    np.testing.assert_allclose(measure(image, target), expected, rtol=1e-4)
-    assert len(lpips_measures([file, small_lpips(tmp_path / "vgg.onnx")[0]])) == 3
-
-
 def test_the_real_squeezenet_knows_equal_pictures_and_how_much_noise_there_is(shared):
     file = shared / "data" / "networks" / "lpips_squeeze_features.onnx"
     if not file.is_file():

@@ -93,12 +93,3 @@ def test_photos_that_do_not_show_the_mesh_say_nothing(nothing):
     none = score_appearance(square(2.0), vertex_colors, nothing, (away,), "black", PhotoEffects())
     assert none == {**dict.fromkeys(("mesh_psnr", "mesh_ssim", "covered_psnr", "covered_ssim")), "mesh_covers": 0}
     assert score_appearance(square(2.0), vertex_colors, nothing, (), "black", PhotoEffects()) == {}
-
-
-def test_a_photo_without_a_valid_pixel_has_no_share_that_a_mesh_could_cover(nothing):
-    hidden = photo("hidden.png", valid=np.zeros((HEIGHT, WIDTH), np.uint8))
-    both = score_appearance(square(2.0), vertex_colors, nothing, (photo(), hidden), "black", PhotoEffects())
-    one = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", PhotoEffects())
-    assert both == one
-    none = score_appearance(square(2.0), vertex_colors, nothing, (hidden,), "black", PhotoEffects())
-    assert set(none.values()) == {None}

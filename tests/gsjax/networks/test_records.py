@@ -1,18 +1,10 @@
-import json
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from gsjax import config
 from gsjax.networks.records import (
-    DEPTH_NETWORKS,
     NETWORKS,
     Confidence,
-    DepthNetwork,
-    NormalNetwork,
     Size,
     canvas_fit,
     decode_normals,
@@ -20,7 +12,6 @@ from gsjax.networks.records import (
     input_intrinsics,
     is_reliable,
     normalize_picture,
-    token_count,
 )
 
 FIXED, TOKENS = Size("fixed", sides=(384, 384)), Size("tokens", fit="stretch", multiple=14, tokens=1800)
@@ -45,15 +36,6 @@ PADDED, LONGEST = Size("multiple", multiple=32), Size("multiple", multiple=28, l
 )
 def test_where_a_photo_goes(size, photo, fixed, expected):
     assert tuple(canvas_fit(size, *photo, fixed)) == expected
-
-
-def test_tokens_are_the_squares_of_the_input():
-    """The grid that MoGe makes of them, sqrt(tokens / aspect) rows, is then the one the photo was resized for."""
-    for width, height in [(1600, 1067), (270, 480), (500, 500), (1000, 300)]:
-        canvas = canvas_fit(TOKENS, width, height).canvas
-        tokens, aspect = token_count(TOKENS, canvas), canvas[1] / canvas[0]
-        assert (round((tokens / aspect) ** 0.5) * 14, round((tokens * aspect) ** 0.5) * 14) == canvas
-        assert abs(tokens / 1800 - 1) < 0.03
 
 
 def test_intrinsics_take_a_point_where_the_photo_is_in_the_input():
@@ -98,14 +80,3 @@ def test_colours_and_normals_in_closed_form():
     left_and_floor = decode_normals(NETWORKS["dsine"], np.float32([[[-1, 0, 0], [0, 1, 0]]]))
     np.testing.assert_allclose(left_and_floor[0], [[1, 0, 0], [0, -1, 0]])
     np.testing.assert_array_equal(decode_normals(NETWORKS["moge2"], np.zeros((1, 1, 3), np.float32)), 0)
-
-
-def test_the_page_shows_a_record_to_copy_every_network_and_every_key():
-    page = (Path(__file__).parents[3] / "docs/normals.md").read_text()
-    (shown,) = (json.loads(block) for block in re.findall(r"```json\n(.*?)```", page, re.DOTALL))
-    assert config.parse(NormalNetwork, shown, where="page") == NETWORKS["moge2"]
-    assert all(f"| `{name}` |" in page for name in NETWORKS)
-    assert all(f"| `{name}` (depth) |" in page for name in DEPTH_NETWORKS)
-    for cls in (NormalNetwork, DepthNetwork, Size, Confidence):
-        for key in cls.__dataclass_fields__:
-            assert f"`{key}`" in page, key

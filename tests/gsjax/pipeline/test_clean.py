@@ -11,10 +11,8 @@ from gsjax.errors import InputError
 from gsjax.gaussians import concatenate, take
 from gsjax.io import json_files
 from gsjax.io.gaussian_files import load_gaussians
-from gsjax.io.locks import lock_folder
 from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.clean import clean, undo
-from gsjax.rendering import outliers
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
 
@@ -91,16 +89,6 @@ def test_a_cleaning_that_was_stopped_is_done_again_or_undone(run):
     assert file.read_bytes() == whole and not list(run.glob("*.original.*"))
 
 
-def test_a_run_that_another_process_works_on_is_left_alone(run):
-    before = {file: file.read_bytes() for file in run.iterdir()}
-    with lock_folder(run), pytest.raises(InputError, match="another process is at work"):
-        clean(run)
-    assert {file: file.read_bytes() for file in run.iterdir() if file.name != ".lock"} == before
-    clean(run, run / "other/clean.ply")  # Which nobody else works on.
-    with lock_folder(run), pytest.raises(InputError, match="another process is at work"):
-        undo(run)
-
-
 def test_a_file_without_cameras_loses_what_hangs_on_nothing(run, tmp_path):
     gaussians, kinds = planted()
     bare, out = tmp_path / "bare.ply", tmp_path / "clean.ply"
@@ -133,22 +121,9 @@ def test_crops_keep_what_lies_inside(tmp_path):
     assert not (tmp_path / "none.ply").exists()
 
 
-def test_cameras_look_at_one_place_or_they_do_not():
-    middle, radius = outliers.looked_at([camera_at(eye, (0.0, 0.0, 0.0)) for eye in EYES])
-    assert_close(middle, np.zeros(3), atol=1e-5, rtol=0, why="float32 poses")
-    assert radius == pytest.approx(np.linalg.norm(EYES[0]), rel=1e-5)
-    assert outliers.looked_at([camera_at(eye, 2 * eye) for eye in EYES]) is None
-
-
 def test_undo_refuses_what_became_another_file(run):
     clean(run)
     write_gaussians(run / "gaussians.ply", take(planted()[0], slice(None, None, -1)))
     with pytest.raises(InputError, match="is not the file any more that"):
         undo(run)
     assert cli.main(["clean", str(run), "--undo", "--box", "0", "0", "0", "1", "1", "1"]) == 2
-
-
-@pytest.mark.parametrize("count", [0, 1, 3, 40])
-def test_a_sheet_of_gaussians_hangs_together(count):
-    points = np.stack([np.arange(count), np.zeros(count), np.zeros(count)], -1).astype(float)
-    assert (outliers.cluster_sizes(points) == count).all()

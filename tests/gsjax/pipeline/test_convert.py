@@ -9,7 +9,6 @@ import pytest
 from scipy.special import expit
 
 from gsjax import cli, rendering
-from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io.gaussian_files import FORMATS, format_of
 from gsjax.io.ply import read_gaussians, write_gaussians
@@ -54,14 +53,6 @@ def test_files_show_the_same_from_the_same_camera(cloud, tmp_path):
         convert(tmp_path / "in.ply", tmp_path / name)
         error = np.mean((picture(format_of(tmp_path / name).read(tmp_path / name), ahead) - straight) ** 2)
         assert -10 * np.log10(error + 1e-20) >= least, name
-
-
-def test_suffixes_tell_the_format():
-    names = {"a.PLY": ".ply", "a.b.spz": ".spz", "a.Compressed.ply": ".compressed.ply", "compressed.ply": ".ply"}
-    for name, suffix in names.items():
-        assert format_of(name) is FORMATS[suffix]
-    with pytest.raises(InputError, match=r"a.splat: files of Gaussians end in .compressed.ply, .ply, .sog, .spz"):
-        format_of("a.splat")
 
 
 def test_what_is_not_wanted_is_left_out(cloud, tmp_path, capsys):

@@ -1,7 +1,6 @@
 """`gsjax masks`, with graphs of known function: what is red in a photo is a person, what is blue is sky."""
 
 import json
-import re
 from functools import partial
 from pathlib import Path
 
@@ -10,14 +9,12 @@ import pytest
 from PIL import Image
 from small_graphs import ANY, NHWC, SmallGraph
 from tqdm import tqdm
-from transforms_scenes import write_transforms
 
-from gsjax import cli, config, pipeline
+from gsjax import cli, pipeline
 from gsjax.errors import InputError
-from gsjax.io.scenes import load_scene
 from gsjax.io.sfm import features
 from gsjax.io.sfm.source_photos import list_source_photos
-from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, MASK_NETWORKS, MaskNetwork
+from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, MASK_NETWORKS
 
 WIDTH, HEIGHT = 60, 40
 CLASSES = ("person", "tree", "sky")  # What a pixel's strongest channel says.
@@ -97,16 +94,6 @@ def test_what_a_class_covers_is_zero_and_all_else_counts(tmp_path, kind):
     np.testing.assert_array_equal(mask, np.where(is_person(scenery()), 0, 255))
 
 
-def test_several_classes_and_everything_but_them(tmp_path):
-    photos = write_photos(tmp_path / "photos")
-    run = partial(pipeline.masks, photos, write_record(tmp_path / "r.json"), graph_of("scores", tmp_path / "w.onnx"))
-    run(tmp_path / "out", classes=["person", "sky"])
-    run(tmp_path / "kept", classes=["sky", "person"], invert=True)
-    tree = scenery()[..., 1] > 100
-    np.testing.assert_array_equal(read_mask(tmp_path / "out/b.png.png"), np.where(tree, 255, 0))
-    np.testing.assert_array_equal(read_mask(tmp_path / "kept/b.png.png"), np.where(tree, 0, 255))
-
-
 def test_a_turned_photo_is_shown_upright_and_its_mask_lies_as_the_file_does(tmp_path):
     """The graph finds a person only below the middle of what it is shown."""
     photos = write_photos(tmp_path / "photos", left=6, right=8, mirrored=2)
@@ -138,14 +125,6 @@ def test_sfm_finds_no_features_where_the_mask_is_zero(tmp_path):
     assert (whole.xy[:, 0] < 88).sum() > 20
     assert len(masked.xy) > 20
     assert (masked.xy[:, 0] >= 88).all()
-
-
-def test_a_data_set_is_masked_where_its_frames_read_it(tmp_path):
-    lens = {"fl_x": 55.0, "fl_y": 50.0, "cx": 31.0, "cy": 19.5, "w": WIDTH, "h": HEIGHT}
-    root = write_transforms(tmp_path / "scene", dict.fromkeys(("a.png", "b.png"), scenery()), **lens)
-    pipeline.masks(root, write_record(tmp_path / "r.json"), graph_of("scores", tmp_path / "w.onnx"), classes=["person"])
-    for frame in load_scene(root).frames:
-        np.testing.assert_array_equal(frame.pixels().valid, np.where(is_person(scenery()), 0, 255))
 
 
 @pytest.mark.parametrize("network", MASK_NETWORKS)
@@ -202,10 +181,3 @@ def test_masks_that_are_there_are_not_lost(tmp_path):
     with pytest.raises(InputError, match="--network mine: neither a known network .pphumanseg, u2net, skyseg. nor"):
         pipeline.masks(photos, "mine", tmp_path / "w.onnx")
     assert (photos / "masks/a.png").read_bytes() == b"mine"
-
-
-def test_the_page_shows_a_record_and_every_network():
-    page = (Path(__file__).parents[3] / "docs/tasks/masks.md").read_text()
-    (shown,) = (json.loads(block) for block in re.findall(r"```json\n(.*?)```", page, re.DOTALL))
-    assert config.parse(MaskNetwork, shown, where="page").classes == ("background", "person", "sky")
-    assert all(f"| `{name}` |" in page for name in MASK_NETWORKS)

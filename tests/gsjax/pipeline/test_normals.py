@@ -13,12 +13,12 @@ from small_scenes import angles
 from tqdm import tqdm
 from transforms_scenes import write_transforms
 
-from gsjax import cli, config, pipeline
+from gsjax import cli, pipeline
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.io.normal_maps import normal_maps
 from gsjax.io.scenes import load_scene
-from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, NETWORKS, NormalNetwork
+from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, NETWORKS
 from gsjax.normals.axes import axis_signs
 
 WIDTH, HEIGHT = 60, 40
@@ -351,19 +351,6 @@ def test_files_that_cannot_serve_are_named(tmp_path):
 def test_a_record_with_a_fault_is_named_with_its_key(tmp_path, changes, message):
     with pytest.raises(InputError, match=message):
         pipeline.normals(tmp_path, write_record(tmp_path / "r.json", **changes), tmp_path / "w.onnx")
-
-
-@pytest.mark.parametrize("key", RECORD)
-def test_a_record_without_what_it_needs_is_refused(tmp_path, key):
-    (tmp_path / "r.json").write_text(json.dumps({k: v for k, v in RECORD.items() if k != key}))
-    with pytest.raises(InputError, match=f"r.json: key '{key}' is missing"):
-        pipeline.normals(tmp_path, tmp_path / "r.json", tmp_path / "w.onnx")
-
-
-@pytest.mark.parametrize("network", NETWORKS)
-def test_known_networks_are_records_that_a_file_can_hold(network):
-    text = json.dumps(config.to_dict(NETWORKS[network]))
-    assert config.parse(NormalNetwork, json.loads(text)) == NETWORKS[network]
 
 
 def test_training_finds_maps_by_the_networks_name(tmp_path, monkeypatch):

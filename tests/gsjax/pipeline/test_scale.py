@@ -21,7 +21,7 @@ from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline import scale
-from gsjax.runs.pixel_to_point import Pixel, points_of_scene
+from gsjax.runs.pixel_to_point import Pixel
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.meshes import Mesh
@@ -57,15 +57,6 @@ def run(tmp_path):
     triangle = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.full((3, 3), 90, np.uint8))
     write_mesh(folder / "mesh.ply", triangle)
     return folder
-
-
-def test_a_scene_is_measured_along_the_rays_of_its_pixels(scene):
-    report = scale(scene, SPOTS)
-    assert report["distance"] == pytest.approx(TRUE, rel=1e-4)
-    assert (report["unit"], report["factor"]) == ("scene unit", None)
-    assert not (scene / "place.json").exists()
-    points = [points_of_scene(replace(WALL, root=scene))(Pixel(name, 40.0, 40.0)) for name in ("01.png", "02")]
-    assert_close(np.stack(points)[:, 2], np.zeros(2), atol=1e-5, rtol=0, why="float32 poses; the wall is z = 0")
 
 
 def test_a_scene_of_a_known_length_is_in_metres_and_upright(scene):
@@ -137,11 +128,6 @@ def test_what_cannot_be_measured_in_a_run_is_one_line_and_changes_nothing(run, p
     with pytest.raises(InputError, match=told):
         scale(run, (Pixel("0.jpg", 48.0, 40.0), pixel), 1.0)
     assert before == {file: file.read_bytes() for file in before}
-
-
-def test_where_the_run_shows_nothing_there_is_no_length(run):
-    with pytest.raises(InputError, match="0.jpg 0.2 40: the run shows no surface there"):
-        scale(run, (Pixel("0.jpg", 48.0, 40.0), Pixel("0.jpg", 0.2, 40.0)))
 
 
 def test_where_nothing_was_triangulated_there_is_no_length(scene, monkeypatch):

@@ -4,7 +4,6 @@ import importlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from gsjax import cli, config, pipeline
@@ -14,7 +13,6 @@ from gsjax.io import json_files
 from gsjax.io.locks import lock_folder
 from gsjax.pipeline.scan import scan, table
 from gsjax.presets import PRESETS as TRAINING
-from gsjax.presets import REFINED_BY
 from gsjax.settings import Settings
 
 scanning = importlib.import_module("gsjax.pipeline.scan")  # The package's attribute of that name is the function.
@@ -26,12 +24,6 @@ class SfmReport:
     left_out: dict[str, str] = field(default_factory=dict)
     passed_over: dict[str, str] = field(default_factory=dict)
     images: int = 15
-
-
-SFM_REPORT = {
-    "images": 15, "registered": 7, "left_out": {}, "passed_over": {}, "points": 9, "mean_reprojection_error": 0.5,
-    "mean_track_length": 3.0, "seconds": 1.0,
-}  # fmt: skip
 
 
 @pytest.fixture
@@ -124,24 +116,6 @@ def test_a_scan_goes_on_where_it_stopped_and_then_has_nothing_to_do(stages, phot
     assert calls == []
 
 
-def test_what_was_killed_before_its_entry_is_told_after_all(stages, photos, tmp_path):
-    """The stage's work was there, the report did not say so yet."""
-    calls, _ = stages
-    whole = scanned(photos, tmp_path / "scan")["stages"]
-    file = tmp_path / "scan/report.json"
-    json_files.write(tmp_path / "scan/scene/sfm.json", {**SFM_REPORT, "registered": 7})
-    for stage in whole:
-        report = json_files.read(file)
-        del report["stages"][stage]
-        json_files.write(file, report)
-        calls.clear()
-        again = scanned(photos, tmp_path / "scan")["stages"]
-        assert set(again) == set(whole)
-        known = [name for name in whole[stage] if name not in ("seconds", "peak_gib")]
-        assert known and all(again[stage][name] == whole[stage][name] for name in known)
-        assert [call[0] for call in calls] == ([] if stage == "sfm" else [stage])
-
-
 def test_a_scan_killed_as_it_began_and_a_second_one_on_its_folder(stages, photos, tmp_path):
     out = tmp_path / "scan"
     out.mkdir()
@@ -225,19 +199,3 @@ def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
     [(_, _, training, refinement)] = handed
     assert refinement == config.parse(Refinement, {**PRESETS[length], "seed": 3})
     assert training == config.parse(Settings, {**TRAINING[preset], "seed": 3})
-
-
-def test_every_preset_of_the_training_names_one_of_the_refinement():
-    assert REFINED_BY.keys() == TRAINING.keys()
-    assert set(REFINED_BY.values()) <= PRESETS.keys()
-
-
-def test_panels_are_drawn_in_rows_under_their_titles(tmp_path):
-    from gsjax.io.images import image_size
-    from gsjax.report.figures import draw_panels
-
-    pictures = {f"picture {i}": np.full((20, 30, 3), 40 * i, np.uint8) for i in range(5)}
-    wide = draw_panels(pictures, tmp_path / "a.png", columns=5)
-    square = draw_panels(pictures, tmp_path / "b.png", columns=2)
-    (one_width, one_height), (three_width, three_height) = image_size(wide), image_size(square)
-    assert one_width == three_width and three_height > 3 * one_height

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import small_scenes
 
-from gsjax import cli, config, pipeline
+from gsjax import cli, config
 from gsjax.io import json_files, ply
 from gsjax.io.images import write_image
 from gsjax.meshing.export import read_textured, write_mesh
-from gsjax.meshing.texture import STEP
 from gsjax.pipeline.texture import known_background
 from gsjax.runs.result import open_result
 from gsjax.scene.meshes import Mesh
@@ -66,14 +65,6 @@ def test_a_grey_mesh_gets_the_colours_of_the_gaussians(folder, tmp_path, capsys,
     expected = np.where(inner[:, :1] < 0, [0.9, 0.1, 0.1], [0.1, 0.2, 0.8])
     # The discs cover 0.97 of a pixel and its neighbours mix in: measured 0.02.
     assert np.abs(np.array(found) / 255 - expected).max() < 0.05
-
-
-def test_the_side_is_chosen_and_told_where_none_is_given(folder, tmp_path):
-    report = pipeline.texture(folder, folder / "grey.ply", tmp_path / "wall.glb")
-    textured = read_textured(tmp_path / "wall.glb")
-    assert textured is not None
-    # 30 x 30 pixels show the wall: the least step of a side is more than enough.
-    assert report["size"] == STEP and textured.texture.shape == (STEP, STEP, 3)
 
 
 def _color_at(textured, point):
@@ -147,13 +138,3 @@ def test_a_texture_too_small_for_the_triangles_is_one_line(folder, tmp_path, cap
     assert "a texture of 64 px has no room for 3200 triangles: it takes 160 px" in error
     assert error.count("\n") == 1
     assert not out.exists()
-
-
-def test_a_run_without_training_views_is_one_line(folder, tmp_path, capsys):
-    for name in ("gaussians.ply", "config.json"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    records = json_files.read(folder / "cameras.json")
-    json_files.write(tmp_path / "cameras.json", [record | {"held_out": True} for record in records])
-    command = ["texture", str(tmp_path), "--mesh", str(folder / "grey.ply"), "--out", str(tmp_path / "t.glb")]
-    assert cli.main(command) == 2
-    assert "has no training views to look from" in capsys.readouterr().err

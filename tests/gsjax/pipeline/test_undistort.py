@@ -108,11 +108,3 @@ def test_nothing_is_written_outside_or_left_half_done(tmp_path):
     with pytest.raises(InputError, match="b.png: not a whole image .* 1 of 2 photos cannot be used, and 2 are needed"):
         pipeline.undistort(scene, tmp_path / "again")
     assert sorted(os.listdir(tmp_path)) == ["out", "photos", "scene"]
-
-
-def test_names_that_no_list_holds_are_written_as_some_that_it_does(tmp_path):
-    photos = {f"a\n{index}\t.png": noise(seed=index) for index in range(9)}
-    scene = write_transforms(tmp_path / "scene", photos, fl_x=50.0)
-    pipeline.undistort(scene, tmp_path / "out")
-    assert_same(load_scene(tmp_path / "out").frames, load_scene(scene).frames)
-    assert (tmp_path / "out/hold_out.txt").read_text() == "a_0_.png\na_8_.png\n"

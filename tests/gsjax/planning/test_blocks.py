@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.planning.blocks import MARGIN, Cell, cut, directions, photos_of
+from gsjax.planning.blocks import MARGIN, cut, directions, photos_of
 
 RNG = np.random.default_rng(0)
 STREET = np.stack([np.linspace(0, 100, 61), RNG.uniform(-2, 2, 61)], axis=1)
@@ -19,12 +19,6 @@ def test_cells_fill_space_once_and_have_as_many_cameras_each(places, count):
         assert (np.sum([cell.holds(points) for cell in cells], axis=0) == 1).all()
     held = [cell.holds(places).sum() for cell in cells]
     assert max(held) - min(held) <= 2 + np.log2(count)
-
-
-def test_a_street_is_cut_across():
-    first, second = cut(STREET, 2)
-    assert first.high[0] == second.low[0] == pytest.approx(50, abs=2)
-    assert first.low == (-np.inf, -np.inf) and first.high[1] == np.inf
 
 
 def test_cells_lie_along_what_cameras_are_spread_along_most():
@@ -52,7 +46,3 @@ def test_a_block_has_the_photos_of_its_margin_and_those_that_see_enough_of_it():
 def test_cameras_at_fewer_places_than_blocks_are_refused():
     with pytest.raises(InputError, match="^--blocks 3: the cameras stand at 2 places$"):
         cut(np.array([[0.0, 0], [1, 0], [1, 0]]), 3)
-
-
-def test_a_cell_without_borders_has_no_margin():
-    assert Cell().grown(STREET) == Cell()

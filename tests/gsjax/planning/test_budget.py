@@ -2,7 +2,6 @@
 
 import re
 from argparse import ArgumentTypeError
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -129,18 +128,6 @@ def test_the_preset_is_the_longest_of_which_two_fifths_fit_and_ends_within_the_b
     assert line == f"{expected} in {chosen.schedule.steps:,} steps, with up to {chosen.model.max_gaussians:,} Gaussians"
 
 
-def test_accurate_is_never_longer_than_it_is(monkeypatch):
-    Machine(monkeypatch, **PACES)
-    assert budget.budgeted("scene", NAMED, 1e7)[0] == NAMED["accurate"].replace(photos={"downscale": 1.0})
-
-
-def test_a_preset_that_is_named_is_only_resized(monkeypatch):
-    machine = Machine(monkeypatch, fast=0.1)
-    chosen, _ = budget.budgeted("scene", {"fast": NAMED["fast"]}, 10_000)
-    assert machine.measured == ["fast"] and chosen.schedule.steps > NAMED["fast"].schedule.steps
-    assert machine.spent(10_000, chosen, "fast") == pytest.approx(10_000, rel=0.01)
-
-
 @pytest.mark.parametrize("seconds", [60, 10_000])
 def test_a_run_whose_gaussians_stay_as_many_is_scaled_in_its_steps_alone(monkeypatch, seconds):
     machine = Machine(monkeypatch, fast=0.1)
@@ -205,18 +192,3 @@ def test_a_run_with_normals_and_depth_is_measured_and_nothing_multiplies():
     settings = SETTINGS.replace(schedule={"phases": phases}, supervision={"depth": "folder"}, model={"sh_degree": 0})
     whole, compiling = budget.measure(wall(5, num_points=40), settings)
     assert whole > 0 and compiling > 0
-
-
-def test_all_photos_held_out_is_one_line():
-    photos = wall(4, num_points=40)
-    held_out = replace(photos, frames=tuple(replace(frame, held_out=True) for frame in photos.frames))
-    with pytest.raises(InputError, match="wall: all 4 photos are held out"):
-        budget.measure(held_out, SETTINGS)
-
-
-def test_what_grows_freely_is_measured_at_ten_times_the_cloud():
-    settings = SETTINGS.replace(density=Density(rule="adc"), model={"max_gaussians": 10_000})
-    gaussians = budget._grown(wall(4, num_points=40), settings)
-    assert int(is_alive(gaussians).sum()) == gaussians.num_gaussians == 400
-    means = np.asarray(gaussians.means)
-    assert np.isfinite(means).all() and len(np.unique(means, axis=0)) == 400

@@ -18,7 +18,7 @@ from gsjax.effects.simulation import Effect, initial_state, update_effects
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effect_runs import held_out_blocks, switchable, without_blocks
-from gsjax.planning.effect_validation import EffectValidation, chosen_photos, select, steps_of_each
+from gsjax.planning.effect_validation import EffectValidation, select, steps_of_each
 from gsjax.planning.effects import choose_effects
 from gsjax.planning.pace import relative_cost
 from gsjax.planning.sizes import training_extent
@@ -163,14 +163,6 @@ def test_effects_start_from_what_is_not_held_out():
     assert [frame.held_out for frame in left.frames] == [False] * 4 + [True] * 2
 
 
-def test_of_many_photos_groups_of_neighbours_are_trained_on():
-    frames = [photo(index) for index in range(200)]
-    chosen = [int(frame.name) for frame in chosen_photos(frames)]
-    assert len(chosen) == 48 and chosen[0] == 0 and chosen[-1] == 199
-    assert sum(b - a == 1 for a, b in zip(chosen, chosen[1:], strict=False)) == 40
-    assert chosen_photos(frames[:48]) == tuple(frames[:48])
-
-
 def test_effects_are_selected_one_after_the_other():
     """A sky brings its background with it, which is then not compared again."""
     worth = {"exposure": 0.3, "vignetting": -0.2, "sky": 0.5, "background": 9.0, "transients": 0.05}
@@ -197,13 +189,6 @@ def test_effects_are_selected_one_after_the_other():
         "sky": True,
         "transients": False,
     }
-
-
-@pytest.mark.parametrize(
-    ("gain", "error", "passes"), [(0.11, 0.02, True), (0.09, 0.02, False), (0.3, 0.4, False), (-1.0, 0.1, False)]
-)
-def test_a_gain_must_be_a_tenth_of_a_decibel_and_above_its_error(gain, error, passes):
-    assert Validated(gain, error).passes == passes
 
 
 def test_both_variants_are_scored_on_the_same_pixels():

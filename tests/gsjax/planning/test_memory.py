@@ -4,7 +4,7 @@ import pytest
 from gsjax.io.temporary_files import ArraysOnDisk
 from gsjax.planning import memory
 from gsjax.planning.memory import fit_to_memory, photo_bytes
-from gsjax.scene import Frame, in_memory
+from gsjax.scene import Frame
 from gsjax.settings import Model, Phase, Schedule, Settings, Weights
 from gsjax.training.plan import plan
 
@@ -38,10 +38,6 @@ def test_photos_take_their_pixels_and_what_the_largest_phase_lays_beside_them():
     assert photo_bytes(coarse, FRAMES) == PHOTOS + PHOTOS // 4
     halved = plan(Settings(schedule=Schedule(phases=(Phase("surface", 10, Weights(sdf_normal=0.1), surface_scale=2),))))
     assert photo_bytes(halved, FRAMES) == PHOTOS + NORMALS + (PHOTOS + NORMALS) // 4
-
-
-def test_with_room_for_all_nothing_changes(tmp_path, monkeypatch):
-    assert fitted(monkeypatch, tmp_path, STEP + GAUSSIANS + PHOTOS + NORMALS) == (PLAN, in_memory, ())
 
 
 def test_photos_go_to_the_disk_before_gaussians_are_fewer(tmp_path, monkeypatch):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gsjax.planning import pace
-from gsjax.planning.pace import Pace, duration_text, seconds_left
-from gsjax.planning.sizes import chosen_downscale, size_line
+from gsjax.planning.pace import Pace, seconds_left
+from gsjax.planning.sizes import chosen_downscale
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Photos, Schedule, Settings, Weights
 from gsjax.training.plan import plan
@@ -35,12 +35,6 @@ def photo(width, height):
 def test_the_size_is_the_users_or_what_the_largest_photo_and_the_machine_bear(sizes, settings, on_cpu, expected):
     frames = [photo(*size) for size in sizes]
     assert chosen_downscale(Photos(**settings), frames, on_cpu=on_cpu) == expected
-
-
-def test_one_line_says_the_size_and_how_to_keep_the_photos_own():
-    line = size_line(2000, [photo(4000, 3000)] * 2, [photo(1600, 1200)] * 2)
-    assert line == "2 photos at 1600x1200 (taken at 4000x3000; --downscale 1 keeps that), 2,000 steps"
-    assert size_line(2000, [photo(40, 30)], [photo(40, 30)]) == "1 photos at 40x30, 2,000 steps"
 
 
 PHASES = (Phase("coarse", 100, image_scale=2), Phase("vanilla", 200), Phase("surface", 50, Weights(sdf_normal=0.1)))
@@ -75,10 +69,3 @@ def test_a_phase_is_timed_once_after_its_first_steps(monkeypatch):
     steps = [i for i, seconds in enumerate(told) if seconds is not None]
     assert steps == [pace.UNTIMED + pace.TIMED - 1 + 30 * phase for phase in range(3)]
     assert {told[i] for i in steps} == {0.25 / pace.TIMED}
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"), [(8.2, "8 s"), (89, "89 s"), (90, "2 min"), (1500, "25 min"), (9000, "2.5 h")]
-)
-def test_durations_read_as_one_says_them(seconds, words):
-    assert duration_text(seconds) == words

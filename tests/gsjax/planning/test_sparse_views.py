@@ -59,11 +59,6 @@ def test_the_angle_is_that_to_the_nearest_photo_that_is_trained_on(monkeypatch, 
     assert angle_between_photos(arc(12.0, held_out=(1, 3, 5), alone=7)) == pytest.approx(24.0, abs=0.02)
 
 
-def test_what_one_photo_has_for_itself_has_no_angle():
-    assert angle_between_photos(arc(12.0, alone=POINTS)) is None
-    assert angle_between_photos(Scene(Path("bare"), "colmap", (), np.zeros((0, 3)), np.zeros((0, 3)))) is None
-
-
 def test_regularized_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none():
     found = regularize(PLAN)
     assert found.max_gaussians == 500
@@ -75,25 +70,10 @@ def test_regularized_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none
     assert regularize(found, may_lower=False) == found, "a run that goes on is the run that it was"
 
 
-def test_of_two_weights_of_one_term_the_larger_counts():
-    phases = [Phase(name, SHORTEST, Weights(depth_normal=weight)) for name, weight in (("little", 0.01), ("much", 0.3))]
-    found = regularize(plan(SETTINGS.replace(schedule={"phases": tuple(phases)})))
-    weights = [{each.name: each.weight for each in phase.terms} for phase in found.phases]
-    assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
-    assert [list(each) for each in weights] == [[each.name for each in PLAN.phases[1].terms]] * 2
-
-
 def test_another_share_and_more_points_that_are_asked_for_stay():
     found = regularize(plan(SETTINGS.replace(schedule={"dropout": 0.5}, model={"stereo_points": 200})))
     assert [phase.dropout for phase in found.phases] == [0.5, 0.5]
     assert found.stereo_points == 200
-
-
-@pytest.mark.parametrize(
-    "settings", [SETTINGS.replace(schedule={"sparse_views": False}), SETTINGS.replace(schedule={"vanilla": True})]
-)
-def test_unasked_for_nothing_is_looked_at(settings):
-    assert for_sparse_views(PLAN, arc(FAR_APART + 1), settings.schedule, trial=never) == (PLAN, None)
 
 
 @pytest.mark.parametrize("degrees", [FAR_APART - 1, FAR_APART + 1])
@@ -142,11 +122,6 @@ def test_depth_decides_where_pictures_are_not_sure(gain, helps):
     assert not told or f"{np.exp(gain.depth):.2f} times the error of depth" in decision.line(found)
 
 
-def test_a_run_begun_before_depth_was_judged_goes_on():
-    known = {"photos": PHOTOS, "degrees": 30.0, "gain": 0.4, "error": 0.1, "held_back": True}
-    assert for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=never, before=known)[1] == Decision(**known)
-
-
 def test_a_trial_regularizes_as_the_run_would_be():
     told = []
     for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=lambda *given: told.append(given) or Gain(0.0, 0.0))
@@ -185,7 +160,3 @@ def test_diagnose_says_what_training_does(degrees, held_out, tried):
     assert found == {"photos": PHOTOS - len(held_out), "degrees": pytest.approx(degrees, abs=0.02), "tried": tried}
     assert f"{found['photos']} to train on, {degrees:.0f} degrees apart" in apart_line(found)
     assert (": presets try whether" in apart_line(found)) == tried
-
-
-def test_diagnose_says_where_no_tracks_tell():
-    assert f"photos: {PHOTOS} to train on, no tracks tell" in apart_line(apart(arc(12.0, alone=POINTS)))

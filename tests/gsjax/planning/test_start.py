@@ -35,11 +35,6 @@ def test_they_are_half_of_the_budget_at_most(monkeypatch):
     assert len(more.points) - len(WALL.points) == 450
 
 
-def test_where_photos_agree_about_nothing_the_scene_stays(monkeypatch):
-    monkeypatch.setattr(start, "stereo_points", lambda scene, count: None)
-    assert start.with_stereo_points(WALL, PLAN) == (WALL, ())
-
-
 @pytest.mark.parametrize(
     ("scene", "planned"),
     [

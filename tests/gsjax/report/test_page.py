@@ -13,7 +13,6 @@ from PIL import Image
 from gsjax import cli, config, pipeline, runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.meshing.export import write_mesh
 from gsjax.pipeline.compare import compare
 from gsjax.presets import PRESETS
 from gsjax.rendering.gallery import Picture
@@ -21,7 +20,6 @@ from gsjax.report import tables, view_pictures
 from gsjax.report.curves import LEFT, RIGHT
 from gsjax.report.page import noted, report
 from gsjax.scene import Pixels, frame_of
-from gsjax.scene.meshes import Mesh
 from gsjax.settings import Settings
 from gsjax.training.plan import plan
 
@@ -30,11 +28,6 @@ NAMES = [f"{index:02d} <b>&\"'.jpg" for index in range(9)]  # as a file may be c
 K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
 VIEWMAT = np.eye(4)
 EVIDENCE = {"on": True, "evidence": 0.31, "unit": "EV", "noise": 0.02, "threshold": 0.05, "note": "a<b"}
-WALL = Mesh(
-    np.array([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], np.float32),
-    np.array([[0, 2, 1], [0, 3, 2]], np.int32),
-    np.full((4, 3), 200, np.uint8),
-)
 
 
 class Page(HTMLParser):
@@ -130,36 +123,6 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["jax"] == [manifest["versions"]["jax"]] and page.cells["cpu"] == [manifest["machine"]["cpu"]]
 
 
-def test_the_page_tells_of_what_every_step_left_out(run):
-    assert "Left out of every step" not in Page(report(run)).cells
-    settings = config.parse(Settings, config.merge(PRESETS["fast"], {"schedule": {"dropout": 0.4}}))
-    json_files.write(run / "plan.json", plan(settings).record())
-    far_apart = "sparse-view regularization: few photos, or far apart"
-    assert Page(report(run)).cells["Left out of every step"] == ["40% of the Gaussians", far_apart]
-    json_files.write(
-        run / "config.json", config.merge(json_files.read(run / "config.json"), {"schedule": {"dropout": 0.4}})
-    )
-    assert Page(report(run)).cells["Left out of every step"] == [
-        "40% of the Gaussians",
-        "asked for: schedule.dropout=0.4",
-    ]
-
-
-def test_photos_beside_renders_are_the_kept_pictures_under_their_own_names(run):
-    page = Page(report(run))
-    names = [name for index, name in enumerate(NAMES) if index % 2]
-    assert len(page.pictures) == 3 * len(names)
-    for index, name in zip(range(1, 9, 2), names, strict=True):
-        photo, render = (picture(page.pictures[f"{kind} {name}"]) for kind in ("photo", "render of"))
-        assert photo.format == "JPEG" and photo.size == render.size == SIZE
-        assert abs(np.asarray(photo, float).mean() - 20 * index) < 2
-        assert abs(np.asarray(render, float).mean() - (255 - 20 * index)) < 2
-        normals = np.asarray(picture(page.pictures[f"normals, {name}"]), float).mean((0, 1))
-        assert np.abs(normals - [128, 128, 255]).max() < 3, "a wall straight ahead"
-    sliders = [attributes for tag, attributes in page.tags if tag == "input" and attributes["type"] == "range"]
-    assert [slider["aria-label"].startswith(name) for slider, name in zip(sliders, names, strict=True)] == [True] * 4
-
-
 def test_nothing_of_a_name_becomes_markup_and_nothing_is_loaded(run):
     page = Page(report(run))
     tags = [tag for tag, _ in page.tags]
@@ -181,14 +144,6 @@ def test_the_lines_are_the_metrics(run):
     np.testing.assert_allclose(held_out[:, 0], LEFT + (RIGHT - LEFT) * np.array([100, 150, 200]) / 200, atol=0.01)
     seconds = page.lines[6][1]
     np.testing.assert_allclose(seconds[:, 0], LEFT + (RIGHT - LEFT) * np.array([14, 21, 30.5]) / 30.5, atol=0.01)
-
-
-def test_a_mesh_is_drawn_from_the_views_that_are_shown(run):
-    write_mesh(run / "mesh.ply", WALL)
-    page = Page(report(run))
-    colors = np.asarray(picture(page.pictures[f"mesh colours, {NAMES[1]}"]), float)
-    assert colors.shape == (SIZE[1], SIZE[0], 3)
-    assert abs(colors[24, 32].mean() - 200) < 4 and colors[24, 0].mean() > 250, "the wall, and white beside it"
 
 
 def test_what_a_stage_measured_is_told(run):
@@ -275,15 +230,6 @@ def test_seeds_are_pooled_and_settings_that_differ_are_named(tmp_path):
     assert a[1, 1] > c[1, 1], "0.2 lies under 0.4"
     seconds = [points for label, points in page.lines if label == "a"][4 + 2]
     np.testing.assert_allclose(seconds[:, 0], LEFT + (RIGHT - LEFT) * np.array([8, 15]) / 15, atol=0.01)
-
-
-def test_runs_of_one_name_are_told_apart_and_nothing_differs_between_equals(tmp_path):
-    folders = [made_run(tmp_path / name / "run", done=False) for name in ("x", "y")]
-    page = Page(compare(folders, tmp_path / "c.html"))
-    assert page.rows[0] == ["", "x/run", "y/run"]
-    assert page.cells["data set"] == [str(tmp_path / name / "scene <i>") for name in "xy"]
-    same = [made_run(tmp_path / "z" / name, done=False, seed=seed) for seed, name in enumerate("pq")]
-    assert "Nothing but the seed." in compare(same, tmp_path / "c.html").read_text()
 
 
 @pytest.mark.parametrize(

@@ -47,17 +47,6 @@ def test_round_trip_keeps_every_bit_and_the_structure(tmp_path):
     assert jnp.array_equal(jax.random.split(loaded.key), jax.random.split(state.key))
 
 
-def test_arrays_are_named_by_their_path(tmp_path):
-    checkpoints.save(tmp_path / "state.npz", make_state())
-    arrays = checkpoints.load_arrays(tmp_path / "state.npz")
-    assert arrays[".params['means']"].shape == (7,)
-    assert arrays[".step"] == 41
-    assert {name for name in arrays if ".mu" in name} == {
-        ".opt_state[0][0].mu['means']",
-        ".opt_state[0][0].mu['empty']",
-    }
-
-
 @pytest.mark.parametrize(
     ("like", "message"),
     [

@@ -3,7 +3,6 @@ import jax.numpy as jnp
 import pytest
 
 from gsjax import pipeline
-from gsjax.binding.refinement import Refinement
 from gsjax.errors import InputError
 from gsjax.runs import compilations
 from gsjax.runs.compilations import Compilations
@@ -28,20 +27,11 @@ def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
     assert seen.drain() == []
 
 
-@pytest.mark.parametrize(
-    "begun",
-    [lambda folder: pipeline.train(folder, folder / "out", Settings()),
-     lambda folder: pipeline.refine(folder, folder / "out", Refinement())],
-    ids=["train", "refine"],
-)  # fmt: skip
-def test_a_run_begins_with_room_for_its_programs(begun, monkeypatch, tmp_path):
+def test_a_run_begins_with_room_for_its_programs(monkeypatch, tmp_path):
     thirds = jax.jit(lambda x: x / 3)
     thirds(jnp.arange(7.0))
-    with pytest.raises(InputError):
-        begun(tmp_path)
-    assert thirds._cache_size() == 1
     monkeypatch.setattr(compilations, "MOST_MAPPINGS", 0)
     with pytest.raises(InputError):
-        begun(tmp_path)
+        pipeline.train(tmp_path, tmp_path / "out", Settings())
     assert thirds._cache_size() == 0
     thirds(jnp.arange(7.0))

@@ -66,21 +66,6 @@ def test_a_run_of_an_earlier_version_is_read_and_not_resumed(run):
         runs.can_resume(run)
 
 
-def left_by_the_dead(name):
-    """A temporary name as a writer that was killed leaves it."""
-    child = subprocess.Popen([sys.executable, "-c", ""])
-    child.wait()
-    return f".{name}.gsjax-{child.pid}-0123abcd.npz"
-
-
-def test_what_killed_writers_left_goes_when_a_run_goes_on(run):
-    leftover, mine = run / "checkpoints" / left_by_the_dead("step_0000001"), run / ".notes-0123abcd.npz"
-    for file in (leftover, mine):
-        file.write_text("half")
-    with runs.claim_run(run):
-        assert not leftover.exists() and mine.exists()
-
-
 def test_a_run_folder_appears_whole_wherever_its_making_is_killed(tmp_path):
     """Killed at each of its writes in turn, it leaves no run, and the next try makes one; or it leaves a whole one."""
     program = """

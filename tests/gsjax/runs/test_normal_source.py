@@ -139,12 +139,6 @@ def test_axes_of_a_network_stay_and_the_comparison_confirms_or_doubts_them(tilte
     assert line in capsys.readouterr().err
 
 
-def test_axes_that_are_set_are_taken_and_nothing_is_rendered(foreign, tmp_path, capsys):
-    maps = NormalSource(tmp_path / "run", foreign(NORMAL, (1, -1, -1)), "opengl", FRAMES)(None, FRAMES)
-    assert angles(np.stack(maps), NORMAL).max() < 0.4
-    assert "axes" not in capsys.readouterr().err
-
-
 def test_axes_without_maps_or_that_are_none_are_refused_before_the_run_begins(foreign, tmp_path):
     with pytest.raises(InputError, match=r"--normal-axes opengl: there are no maps .* --normals DIR"):
         NormalSource(tmp_path / "run", None, "opengl", FRAMES)

@@ -4,7 +4,6 @@ import pytest
 
 from gsjax import cli, runs
 from gsjax.errors import InputError
-from gsjax.io import json_files
 from gsjax.runs.outputs import OF_RUN, require_apart
 
 
@@ -25,15 +24,6 @@ def run(scene, tmp_path):
 def test_files_of_a_run_are_refused(run, name):
     with pytest.raises(InputError, match=r": is what is read from .*run; choose another place for the output"):
         require_apart(run / name, run)
-
-
-def test_what_is_made_of_a_run_may_lie_in_it(run):
-    for name in ("mesh.ply", "mesh.glb", "eval.json", "views"):
-        require_apart(run / name, run)
-    json_files.write(run / "config.json", {"seed": 0, "refinement": {}})
-    require_apart(run / "other.ply", run)
-    with pytest.raises(InputError, match=r"mesh\.ply: is what is read from"):
-        require_apart(run / "mesh.ply", run)  # What a refinement is there for.
 
 
 @pytest.mark.parametrize("name", ["images/a.png", "transforms.json", "points3D.ply", "mine/a.png"])

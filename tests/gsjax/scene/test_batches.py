@@ -1,5 +1,3 @@
-from types import SimpleNamespace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -101,13 +99,6 @@ def test_mattes_lay_the_photo_over_the_background():
     assert_close(batch.matte, matte / 255)
 
 
-def test_a_photo_without_a_matte_among_others_is_opaque():
-    photos = (frame(7, 5, matte=np.zeros((5, 7), np.uint8)), frame(7, 5))
-    absent, opaque = (batches.decode(target, WHITE).image for target in batches.read_batches(photos).views)
-    assert_close(absent, np.ones((5, 7, 3)))
-    assert_close(opaque, photos[1].pixels().image / 255)
-
-
 @pytest.mark.parametrize("scale", [1, 2])
 def test_masks_decide_what_is_valid(scale):
     mask = np.zeros((4, 6), np.uint8)
@@ -163,9 +154,3 @@ def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
     for index, following in ((0, 1), (1, 2), (2, 2), (2, 0)):
         view([index], [following])
     assert sent == [0, 1, 2, 0], "each once, before it is asked for; the same view twice in a row is sent once"
-
-
-def test_a_cpu_gives_photos_no_room_of_their_own(monkeypatch):
-    assert batches.device_room(0.5) == 0
-    monkeypatch.setattr(jax, "local_devices", lambda: [SimpleNamespace(memory_stats=lambda: {"bytes_limit": 1000})])
-    assert batches.device_room(0.25) == 250

@@ -39,14 +39,6 @@ def test_points_and_cameras_move_together():
     assert_close(placed[:3, :3] @ placed[:3, :3].T, np.eye(3))
 
 
-def test_what_is_stretched_and_turned_later_adds_up():
-    points = np.random.default_rng(0).normal(size=(20, 3))
-    before = PLACE.points_to_world(points)
-    assert_close(PLACE.rescale(3.0, "a length").points_to_world(points), 3.0 * before)
-    other = Rotation.random(random_state=2).as_matrix()
-    assert_close(PLACE.turned(other).points_to_world(points), before @ other.T)
-
-
 def test_a_record_is_the_place_to_the_last_digit_and_a_statement_is_it_of_files_in_the_world():
     kept = json.loads(json.dumps(PLACE.record()))
     assert parse_place(kept, "here") == PLACE

@@ -7,12 +7,11 @@ import pytest
 from photographed_wall import SIZE, wall
 from tolerances import assert_close
 
-from gsjax.scene import Scene, Tracks, with_pixels
+from gsjax.scene import Scene, with_pixels
 from gsjax.stereo import depths_of_photos, stereo_points, views
 from gsjax.stereo.depths import CONFIRMED, FEWEST_CHECKED, SMALLEST_PATCH, Evidence, confirmed, evidence, patches
-from gsjax.stereo.points import spread_evenly
 from gsjax.stereo.sweep import UNLIKE, dissimilarities, inverse_depths
-from gsjax.stereo.views import Depth, neighbors, stereo_views
+from gsjax.stereo.views import Depth, stereo_views
 
 AWAY = 3.0  # from the cameras to the wall
 
@@ -146,21 +145,6 @@ def test_dissimilarity_is_least_at_the_wall_and_knows_no_exposure():
     )
 
 
-def test_photos_are_compared_with_those_at_a_good_angle():
-    degrees = np.array([0.0, 0.5, 8.0, 30.0, 80.0, 9.0])
-    eyes = 10 * np.stack([np.sin(np.radians(degrees)), np.zeros(6), -np.cos(np.radians(degrees))], axis=-1)
-    viewmats = np.tile(np.eye(4, dtype=np.float32), (6, 1, 1))
-    viewmats[:, :3, 3] = -eyes  # only where they stand is looked at
-    frames = tuple(replace(WALL.frames[0], name=f"{i}.png", viewmat=viewmats[i]) for i in range(6))
-    points = np.random.default_rng(0).normal(scale=0.01, size=(50, 3)).astype(np.float32)
-    photo = np.repeat(np.arange(6, dtype=np.int32), 50)
-    tracks = Tracks(
-        tuple(f.name for f in frames), photo, np.tile(np.arange(50, dtype=np.int32), 6), np.zeros((300, 2), np.float32)
-    )
-    scene = replace(WALL, frames=frames, points=points, tracks=lambda: tracks)
-    assert neighbors(stereo_views(scene), points)[0] == [2, 5, 3, 1]
-
-
 def test_a_patch_is_large_enough_or_left_out():
     counted = np.zeros((20, 20), bool)
     counted[:5, :10] = True  # 50 pixels
@@ -195,14 +179,3 @@ def test_matched_points_judge_a_photo():
     assert wrong == Evidence(0, len(view.matched)) and not wrong.is_good
     assert Evidence(0, FEWEST_CHECKED - 1).is_good and not Evidence(15, FEWEST_CHECKED).is_good
     assert Evidence(16, FEWEST_CHECKED).is_good
-
-
-@pytest.mark.parametrize("count", [1, 7, 300])
-def test_points_are_thinned_evenly(count):
-    rng = np.random.default_rng(0)
-    clumped = np.concatenate([rng.uniform(0, 1, (500, 3)), rng.normal(0.5, 1e-3, (5000, 3))])
-    chosen = spread_evenly(clumped, count)
-    assert 0 < len(chosen) <= count and (np.diff(chosen) > 0).all()
-    if count == 300:
-        assert (chosen < 500).mean() > 0.9 and len(chosen) > 150
-    assert len(spread_evenly(np.zeros((9, 3)), count)) == 1, "nine times one place"

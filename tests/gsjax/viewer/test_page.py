@@ -15,10 +15,10 @@ from gsjax.errors import InputError
 from gsjax.rendering import backdrop
 from gsjax.scene.colors import to_bytes
 from gsjax.viewer import page as pages
-from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check_port
+from gsjax.viewer.page import SIDE, News, Page, check_port
 from gsjax.viewer.page_camera import camera_of, page_camera, picture_size
 from gsjax.viewer.picture_queue import PictureQueue
-from gsjax.viewer.pictures import COLOR, DEPTH, NORMALS, draw_picture
+from gsjax.viewer.pictures import COLOR, draw_picture
 from gsjax.viewer.viewed_scene import ViewedScene
 
 SCENE = cloud(30)
@@ -77,38 +77,6 @@ def test_a_browser_is_sent_what_its_camera_sees_coarse_then_whole_and_nothing_fo
     size = picture_size(told, 32)
     expected = draw_picture(COLOR, SCENE, camera_of(told, size), VIEWED.background)
     np.testing.assert_array_equal(whole, expected)
-
-
-def test_the_switches_are_those_of_what_there_is(monkeypatch):
-    with served(monkeypatch) as (page, state):
-        assert list(page.switches) == [SHOW, SIDE]
-        assert list(page.switches[SHOW].options) == [COLOR, BY_BROWSER, DEPTH, NORMALS]
-        page.switches[SHOW].value = BY_BROWSER
-        page.queue.move("me", page_camera(AT))
-        wait(lambda: state.received and page.queue.is_idle)
-        ((plain, _),) = state.received
-        np.testing.assert_array_equal(plain, np.broadcast_to([26, 230, 102], plain.shape))
-        assert page.server.scene.get_handle_by_name("/splats").visible
-
-
-def test_news_are_asked_for_only_while_somebody_looks_and_kept_to_their_share(monkeypatch):
-    asked = []
-
-    def news():
-        asked.append(time.monotonic())
-        return News(SCENE, "step 1 of 2") if len(asked) == 2 else None
-
-    monkeypatch.setattr(pages, "PATIENCE", 0.01)
-    waiting = ViewedScene("scene", AT, np.zeros(3), np.array([0, -1.0, 0]), 4.0, cameras={"a.png": AT})
-    with served(monkeypatch, waiting, news=news, share=0.5) as (page, state):
-        assert list(page.switches) == [SHOW, SIDE, CAMERAS] and page.switches[SHOW].value == BY_BROWSER
-        time.sleep(0.1)
-        assert not asked
-        page.queue.move("me", page_camera(AT))
-        wait(lambda: state.received)
-        assert page._status.content == "step 1 of 2"
-        page.switches[CAMERAS].value = True
-        wait(lambda: page.server.scene.get_handle_by_name("/cameras/00000") is not None)
 
 
 def test_news_bring_the_background_that_is_learned_and_only_the_full_picture(monkeypatch):

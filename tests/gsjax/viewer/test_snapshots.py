@@ -43,20 +43,6 @@ def test_the_copy_outlives_the_buffers_that_the_next_step_takes(clock):
     np.testing.assert_array_equal(snapshots.news().gaussians.means, expected)
 
 
-def test_there_are_seconds_between_two_copies(clock):
-    snapshots, scene = Snapshots(10, every=5.0, clock=lambda: clock.now), cloud(30)
-    snapshots.news()
-    snapshots.observe(progress(1, scene))
-    assert snapshots.news() is not None
-    clock.now += 4.9
-    assert snapshots.news() is None
-    snapshots.observe(progress(2, None))
-    clock.now += 0.2
-    assert snapshots.news() is None
-    snapshots.observe(progress(3, scene))
-    assert snapshots.news().line == "coarse: step 3 of 10"
-
-
 def test_a_browser_gets_the_living_in_linear_numbers():
     scene = cloud(30, capacity=48)
     splats = browser_splats(scene)

@@ -135,12 +135,6 @@ def test_a_texture_round_trips(tmp_path, textured, name):
     )
 
 
-def test_a_file_without_a_texture_has_none(tmp_path, mesh):
-    for name in ("m.ply", "m.glb", "m.obj"):
-        write_mesh(tmp_path / name, mesh)
-        assert read_textured(tmp_path / name) is None
-
-
 def test_open3d_reads_the_same_texture_from_obj(tmp_path, textured):
     import open3d as o3d
 
@@ -160,22 +154,6 @@ def test_an_obj_of_any_name_says_what_lies_beside_it(tmp_path, textured):
     write_textured(tmp_path / os.fsdecode(name + b".obj"), textured)
     assert (tmp_path / os.fsdecode(name + b".obj")).read_bytes().startswith(b"mtllib " + name + b".mtl\n")
     assert name + b".png" in (tmp_path / os.fsdecode(name + b".mtl")).read_bytes()
-
-
-def test_obj_keeps_the_vertices_and_their_colours_beside_the_texture(tmp_path, textured):
-    write_textured(tmp_path / "m.obj", textured)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["m.mtl", "m.obj", "m.png"]
-    lines = (tmp_path / "m.obj").read_text().splitlines()
-    vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
-    np.testing.assert_allclose(vertices[:, :3], textured.mesh.vertices, rtol=1e-7)
-    np.testing.assert_allclose(vertices[:, 3:] * 255, textured.mesh.colors, atol=0.1)
-    places = np.array([line.split()[1:] for line in lines if line.startswith("vt ")], float)
-    np.testing.assert_allclose(places * [1, -1] + [0, 1], textured.atlas.uvs, atol=1e-6)  # v counts from below
-    corners = [[part.split("/") for part in line.split()[1:]] for line in lines if line.startswith("f ")]
-    corners = np.array(corners, int) - 1
-    np.testing.assert_array_equal(corners[..., 0], textured.mesh.faces)
-    np.testing.assert_array_equal(corners[..., 1], textured.atlas.faces)
-    assert "map_Kd m.png" in (tmp_path / "m.mtl").read_text().splitlines()
 
 
 def test_textured_glb_is_unlit_and_nothing_is_multiplied_with_the_texture(tmp_path, textured):
