@@ -68,14 +68,20 @@ def test_it_trains_as_well_as_the_pipeline_at_equal_steps(loaded, scene, trained
     assert len(trained.gaussians.alive()) == BUDGET
 
 
-def test_a_loss_of_ones_own_is_descended(loaded):
+def test_a_loss_and_an_sdf_estimator_of_ones_own_are_descended(loaded):
     def flat(gaussians, view, photo):
         return jnp.mean(gsjax.scales(gaussians).min(-1))
 
-    plain, _ = composed(loaded, {"l1": 1.0}, densify=None, steps=20)
-    thin, metrics = composed(loaded, {"l1": 1.0, "flat": (5.0, flat)}, densify=None, steps=20)
-    assert set(metrics.terms) == {"l1", "flat"}
-    assert np.median(gsjax.scales(thin.gaussians).min(-1)) < np.median(gsjax.scales(plain.gaussians).min(-1))
+    def towards_camera(gaussians, view, camera):
+        return -gsjax.pixel_rays(camera)
+
+    losses = {"l1": 1.0, "flat": (5.0, flat), "facing": (0.1, gsjax.align_normals(towards_camera))}
+    _, first = composed(loaded, losses, densify=None, steps=1)
+    _, last = composed(loaded, losses, densify=None, steps=22)  # of the same photo
+    assert set(first.terms) == {"l1", "flat", "facing"}
+    # Adam moves a logarithm by 5e-3 a step at most: to 0.90 of it in 21 steps.
+    assert float(last.terms["flat"]) < 0.92 * float(first.terms["flat"])
+    assert 0 < float(last.terms["facing"]) < float(first.terms["facing"]) < 1
 
 
 def test_a_densification_rule_of_ones_own_decides(loaded):
@@ -84,15 +90,6 @@ def test_a_densification_rule_of_ones_own_decides(loaded):
     )
     state, _ = composed(loaded, {"l1": 1.0}, densify=rule, steps=40)
     assert len(state.gaussians.alive()) == 850
-
-
-def test_an_sdf_estimator_of_ones_own_is_aligned(loaded):
-    def towards_camera(gaussians, view, camera):
-        return -gsjax.pixel_rays(camera)
-
-    term = gsjax.align_normals(towards_camera)
-    _, metrics = composed(loaded, {"l1": 1.0, "facing": (0.1, term)}, densify=None, steps=2)
-    assert 0 < float(metrics.terms["facing"]) < 1
 
 
 def test_the_field_of_a_trained_scene_is_a_normal_map(loaded, trained):

@@ -70,10 +70,13 @@ def test_the_gradient_leads_to_the_quantile_and_the_value_is_zero():
         expected = np.float32((1 - transients.QUANTILE) * (1 - above) - transients.QUANTILE * above)
         assert_close(slope, expected, kind="value", rtol=1e-4, atol=0, why="a sum of 500 numbers")
 
+    @jax.jit
+    def step(state):
+        return update_effects(EFFECTS, state, {"transients": jax.grad(added)(state.numbers["transients"])})
+
     state = effects_state(EFFECTS)
     for _ in range(300):
-        gradients = {"transients": jax.grad(added)(state.numbers["transients"])}
-        state = update_effects(EFFECTS, state, gradients)
+        state = step(state)
     found = np.exp(state.numbers["transients"])
     assert found == pytest.approx(np.quantile(off, transients.QUANTILE), rel=0.1)
 
