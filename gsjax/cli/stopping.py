@@ -41,6 +41,9 @@ class Stopping:
 
     def _raise(self, number: int, frame: FrameType | None) -> NoReturn:
         self.signal = self.signal or signal.Signals(number)
+        if _is_loading("jax"):  # An exception within the import of its compiled modules would abort the process.
+            print(f"gsjax: {SIGNALS[self.signal]}", file=sys.stderr)
+            _exit_now(128 + number)
         raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
 
@@ -61,6 +64,12 @@ def leave(code: int) -> NoReturn:
         _exit_now(code)
     _exit_codes.append(code)
     sys.exit(code)
+
+
+def _is_loading(package: str) -> bool:
+    """Whether the import of a package has begun and has not ended."""
+    spec = getattr(sys.modules.get(package), "__spec__", None)
+    return bool(getattr(spec, "_initializing", False))
 
 
 def _exit_now(code: int) -> NoReturn:

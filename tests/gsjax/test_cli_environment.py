@@ -165,3 +165,29 @@ def test_a_bug_is_not_dressed_up_as_bad_input(library, monkeypatch):
     monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         cli.main(["eval", "run"])
+
+
+COMPILED_MODULE = """
+import os, time
+print("loading", flush=True)
+try:
+    time.sleep(60)
+except BaseException:
+    os.abort()
+"""
+"""What nanobind does with an exception while it imports."""
+
+
+@pytest.mark.parametrize(("number", "told"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
+def test_a_signal_while_jax_is_imported_ends_the_process(tmp_path, number, told):
+    """An exception there aborts the process, with a traceback of 150 lines."""
+    (tmp_path / "jax").mkdir()
+    (tmp_path / "jax" / "__init__.py").write_text(COMPILED_MODULE)
+    program = "from gsjax.cli import run_guarded; raise SystemExit(run_guarded(lambda: __import__('jax') and 0))"
+    own = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, env=own, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "loading\n"
+        process.send_signal(number)
+        assert process.communicate(timeout=30)[1] == f"gsjax: {told}\n"
+    assert process.returncode == 128 + number
