@@ -169,8 +169,8 @@ def test_a_bug_is_not_dressed_up_as_bad_input(library, monkeypatch):
 
 COMPILED_MODULE = """
 import os, time
-print("loading", flush=True)
 try:
+    print("loading", flush=True)
     time.sleep(60)
 except BaseException:
     os.abort()
