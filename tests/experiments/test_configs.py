@@ -6,7 +6,7 @@ import pytest
 import gsjax
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.presets import DEMO, PRESETS
+from gsjax.presets import DEMO
 from gsjax.settings import Settings
 
 CONFIGS = ["base", "built_in", "bunny_plane", "demo", "fox", "fox_small", "lego200", "photos_short", "smoke"]
@@ -38,17 +38,8 @@ def test_every_config_parses_and_differs_from_base_in_what_it_says(script, name)
         assert all(base.get(key) != value for key, value in own.items()), "a config holds differences only"
 
 
-def test_the_base_is_the_fast_preset_without_what_photos_may_call_for(script):
-    plain = {"effects": {"names": "none"}, "schedule": {"sparse_views": False}}
-    assert script.load_settings("base") == config.parse(Settings, config.merge(PRESETS["fast"], plain))
-
-
 def test_the_demo_is_what_the_command_trains(script):
     assert script.load_settings("demo") == config.parse(Settings, DEMO)
-
-
-def test_assignments_come_last(script):
-    assert script.load_settings("smoke", ["schedule.phases.0.steps=3", "seed=9"]).schedule.phases[0].steps == 3
 
 
 def test_unknown_names_are_answered_with_the_nearest(script):

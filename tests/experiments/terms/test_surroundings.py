@@ -1,8 +1,5 @@
 """The table of the nearest: who stands in it, when another is made, and that a run trains with it."""
 
-from dataclasses import replace
-
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from photographed_wall import wall
@@ -35,18 +32,6 @@ def test_the_nearest_are_the_living_by_distance_itself_first():
     expected = np.argsort(np.linalg.norm(means[:, None] - means, axis=-1), axis=1)[:, : surroundings.NEAREST]
     np.testing.assert_array_equal(table[:ALIVE], expected)
     np.testing.assert_array_equal(table[ALIVE:], surroundings.none_yet(ROWS)[ALIVE:])
-
-
-@pytest.mark.parametrize("alive", [0, 1, 5])
-def test_where_there_are_few_the_own_id_stands_for_nobody(alive):
-    table = nearest(cloud(alive, capacity=8))
-    assert np.all(np.sort(table[:alive, :alive], axis=1) == np.arange(alive))
-    assert np.all(table[:, max(alive, 1) :] == np.arange(8)[:, None])
-
-
-def test_of_coincident_gaussians_each_is_its_own_first():
-    gaussians = replace(cloud(20), means=jnp.ones((20, 3)))
-    np.testing.assert_array_equal(nearest(gaussians)[:, 0], np.arange(20))
 
 
 def test_another_table_is_made_every_500_looks_and_for_other_gaussians():

@@ -103,11 +103,6 @@ def test_numbers_beyond_their_bounds_give_finite_values_and_gradients(size):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(jax.grad(brightness)(numbers)))
 
 
-def test_one_photo_has_no_gain():
-    """Its mean is its own: the gauge leaves nothing to learn."""
-    assert_close(exposure.log_gains(jnp.asarray(GAINS[:1])), np.zeros((1, 3), np.float32))
-
-
 def test_rates_wait_warm_up_fall_and_pause_after_resets():
     rate = RATE_OF_A_RUN
     assert rate(0) == rate(HOLD) == 0

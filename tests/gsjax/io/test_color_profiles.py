@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 
-from gsjax.io.color_profiles import CodePoints, code_points, matrix_profile
+from gsjax.io.color_profiles import code_points, matrix_profile
 from gsjax.io.duplicate_photos import group_duplicates
 from gsjax.io.images import read_image, read_mask
 
@@ -97,13 +97,6 @@ def test_files_of_one_shot_in_two_color_spaces_show_the_same_shot(tmp_path, spac
     assert group_duplicates(sorted(tmp_path.iterdir())) == [[0, 1], [2, 3]]
 
 
-def test_files_of_one_shot_with_16_bits_and_with_8_show_the_same_shot(tmp_path):
-    for name, grey in (("a", lively(64)[..., 0]), ("b", lively(64)[..., 2])):
-        Image.fromarray(np.rint(65535 * grey).astype(np.uint16)).save(tmp_path / f"{name}.png")
-        Image.fromarray(np.rint(255 * grey).astype(np.uint8)).save(tmp_path / f"{name}.tif")
-    assert group_duplicates(sorted(tmp_path.iterdir())) == [[0, 1], [2, 3]]
-
-
 def test_a_profile_of_srgb_changes_no_byte_and_masks_have_none(tmp_path, capsys):
     colors = np.random.default_rng(0).integers(0, 256, (9, 9, 3), dtype=np.uint8)
     srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
@@ -162,10 +155,3 @@ def test_avif_states_its_code_points_in_its_file(tmp_path):
     at = data.index(b"colrnclx") + 8
     (tmp_path / "a.avif").write_bytes(data[:at] + struct.pack(">H", 12) + data[at + 2 :])
     assert psnr(read_image(tmp_path / "a.avif")[0], lively()) > 38
-
-
-@pytest.mark.parametrize("cut", range(4))
-def test_code_points_that_are_cut_off_are_none(cut):
-    whole = b"\0\0\0\x13colrnclx" + struct.pack(">HHH", 9, 18, 9)
-    assert code_points(whole) == CodePoints(9, 18)
-    assert code_points(whole[: 12 + cut]) is None

@@ -141,12 +141,6 @@ def test_maps_that_transforms_lists_are_read_in_its_unit(listed, root, unit, met
         assert (trust == 255).all()
 
 
-def test_listed_maps_are_named_where_they_are_not_asked_for(listed, capfd):
-    scene = load_scene(listed(), hold_out="none")
-    assert measured_depth(scene, Supervision()) is None
-    assert f"{scene.root}: lists depth maps of 3 of 3 photos; --depth trains on them" in capfd.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("fault", "message"),
     [

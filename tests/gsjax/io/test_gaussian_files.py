@@ -33,11 +33,6 @@ def test_the_suffix_says_what_is_written_and_read(tmp_path, name):
         np.testing.assert_array_equal(getattr(loaded, field), getattr(of_its_format, field))
 
 
-def test_a_run_folder_stands_for_its_gaussians(tmp_path):
-    gsjax.save_gaussians(cloud(30), tmp_path / "gaussians.ply")
-    np.testing.assert_array_equal(gsjax.load_gaussians(tmp_path).means, np.asarray(cloud(30).means))
-
-
 def test_what_holds_no_gaussians_is_one_line(tmp_path):
     faults = {"absent.ply": "no such file or folder", "": "holds no gaussians.ply; it is no run folder"}
     for name, fault in faults.items():

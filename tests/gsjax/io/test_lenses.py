@@ -176,10 +176,3 @@ def test_a_wide_fisheye_photo_is_faces_that_lose_nothing_of_it(model):
         shown += within & (True if view.valid is None else view.valid[row, column] > 0)
     assert (shown == 1).mean() > 0.98
     assert shown.max() <= 2 and np.arccos(rays[:, 2].min()) > np.radians(60)
-
-
-@pytest.mark.parametrize("degrees", [61, 91, 98, 120])
-def test_a_fisheye_photo_is_faces_however_far_its_corners_lie(degrees):
-    focal = np.hypot(100, 75) / np.radians(degrees)
-    views = pinhole_views(Lens("OPENCV_FISHEYE", 200, 150, (focal, focal, 100, 75, 0, 0, 0, 0)))
-    assert {"_front", "_right", "_left"} <= {view.suffix for view in views}

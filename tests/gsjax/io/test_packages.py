@@ -4,8 +4,7 @@ import sys
 
 import pytest
 
-from gsjax.io import packages
-from gsjax.io.packages import Deferred, MissingPackageError, check_installed, require
+from gsjax.io.packages import MissingPackageError, require
 
 
 @pytest.mark.parametrize(
@@ -23,16 +22,6 @@ def test_what_is_missing_is_one_line_with_the_command_that_installs_it(tmp_path,
     with pytest.raises(MissingPackageError) as error:
         require("open3d")
     assert re.fullmatch(rf"cannot load open3d \(.*\); install it with: {command}.*", str(error.value))
-
-
-def test_a_package_is_looked_for_without_loading_it_and_loaded_when_it_is_used(monkeypatch):
-    monkeypatch.setitem(packages.EXTRAS, "not_there", "view")
-    check_installed("viser", "jinja2")
-    with pytest.raises(MissingPackageError, match=r"^not_there is not installed; .* pip install 'gsjax\[view\]'$"):
-        check_installed("jinja2", "not_there")
-    assert Deferred("math").pi > 3
-    with pytest.raises(MissingPackageError, match="cannot load not_there"):
-        _ = Deferred("not_there").pi
 
 
 def test_sigterm_keeps_the_handler_of_the_program():

@@ -99,12 +99,3 @@ def test_what_is_no_panorama_is_refused(tmp_path):
         reconstruct(tmp_path, tmp_path / "scene", mask_below=30.0)
     with pytest.raises(InputError, match="--mask-below 90: degrees below the horizon are from 0 to less than 90"):
         reconstruct(tmp_path, tmp_path / "scene", mask_below=90.0, panoramas=True)
-
-
-@pytest.mark.parametrize(("sizes", "hint"), [
-    ([(80, 40), (81, 40)], "; if it shows 360 degrees, add --panoramas"), ([(80, 40), (60, 40)], ""),
-])  # fmt: skip
-def test_photos_without_a_pose_of_the_shape_of_panoramas_may_be_some(tmp_path, sizes, hint):
-    for number, size in enumerate(sizes):
-        Image.new("RGB", size).save(tmp_path / f"{number}.png")
-    assert source_photos.panorama_hint(source_photos.list_source_photos(tmp_path)) == hint

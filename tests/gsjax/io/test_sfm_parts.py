@@ -42,19 +42,6 @@ def test_every_exif_orientation_ends_upright_by_way_of_the_sensor(tmp_path, orie
     np.testing.assert_array_equal(shot.upright(sensor), expected)
 
 
-def test_photos_of_one_camera_share_it_however_it_was_held(tmp_path):
-    photo(tmp_path / "0.png", make="One", focal=26)
-    photo(tmp_path / "1.png", make="One", focal=26, orientation=6)
-    photo(tmp_path / "2.png", (20, 40), make="One", focal=26)
-    photo(tmp_path / "3.png", make="One", focal=52)
-    photo(tmp_path / "4.png", make="Two", focal=26)
-    photo(tmp_path / "5.png", (42, 20), make="One", focal=26)
-    photo(tmp_path / "6.png")
-    cameras = [shot.camera for shot in source_photos.list_source_photos(tmp_path)]
-    assert len(set(cameras[:3])) == 1
-    assert len(set(cameras[2:])) == 5
-
-
 @pytest.mark.parametrize("turns", range(4))
 def test_pose_and_pinhole_turn_with_the_picture(turns):
     K, width, height = np.array([[30.0, 0, 17], [0, 35, 12], [0, 0, 1]]), 40, 24

@@ -20,13 +20,6 @@ def held_out(hold_out, root, photos=PHOTOS):
     return [photo.name for photo in marked if photo.held_out]
 
 
-@pytest.mark.parametrize(
-    ("hold_out", "expected"), [("auto", NAMES[::8]), ("5", NAMES[::5]), ("99", NAMES[:1]), ("none", [])]
-)
-def test_every_nth_of_the_names_starting_with_the_first(tmp_path, hold_out, expected):
-    assert held_out(hold_out, tmp_path) == expected
-
-
 def test_the_layouts_own_split_is_the_default_and_gives_way_to_another(tmp_path):
     own = [replace(photo, held_out=photo.name in NAMES[3:5]) for photo in PHOTOS]
     assert held_out("auto", tmp_path, own) == NAMES[3:5]

@@ -12,10 +12,6 @@ def frame(name="a/001.png", width=6, height=4):
     return frame_of(name, np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32), Pixels(image))
 
 
-def test_nothing_there_is_none(tmp_path):
-    assert load_truth(tmp_path, (frame(),)) is None
-
-
 def test_maps_are_read_at_the_nearest_pixel_centre(tmp_path):
     (tmp_path / "depth/a").mkdir(parents=True)
     depth = np.arange(24, dtype=np.float32).reshape(4, 6)

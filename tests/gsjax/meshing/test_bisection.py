@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from meshes import ball, mesh_of
+from meshes import ball
 
 from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.connectivity import edge_table, topology
@@ -63,10 +63,3 @@ def test_an_open_border_keeps_its_length_and_colours_are_means():
     assert 100 <= many.num_faces <= 101
     assert topology(many).boundary_length == pytest.approx(4, rel=1e-6)
     assert areas(many).sum() == pytest.approx(1, rel=1e-6)
-
-
-@pytest.mark.parametrize("weights", [np.zeros(2), np.array([3.0, 1.0])], ids=["nothing to show", "enough already"])
-def test_what_needs_no_halving_stays(weights):
-    square = mesh_of([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
-    same = bisect_triangles(square, weights, 100 if not weights.any() else 2)
-    np.testing.assert_array_equal(same.faces, square.faces)

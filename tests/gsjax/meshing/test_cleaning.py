@@ -7,19 +7,12 @@ from meshes import mesh_of, square, tetrahedron
 from gsjax.errors import InputError
 from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.connectivity import edge_table, face_components, topology
-from gsjax.scene.meshes import Mesh, signed_volume
+from gsjax.scene.meshes import Mesh
 
 
 def wavy_square(count):
     line = np.linspace(0, 1, count)
     return square(count - 1, 0, 1, height=0.02 * np.sin(9 * line)[None])
-
-
-def test_a_clean_mesh_stays():
-    mesh, report = clean(tetrahedron())
-    assert (mesh.num_vertices, mesh.num_faces) == (4, 4)
-    assert not any(asdict(report).values())
-    assert signed_volume(mesh) == pytest.approx(1 / 6)
 
 
 def test_bad_faces_go_and_are_counted():
@@ -40,15 +33,6 @@ def test_vertices_at_one_place_are_merged():
     assert (result.num_vertices, result.num_faces) == (4, 4)
     assert not any(asdict(report).values())
     assert topology(result).watertight
-
-
-def test_a_fin_on_an_edge_goes():
-    mesh = tetrahedron()
-    fin = np.vstack([mesh.vertices, [[0.5, -0.1, -0.1]]])
-    result, report = clean(mesh_of(fin, np.vstack([mesh.faces, [[0, 1, 4]]])))
-    assert report.non_manifold_faces == 1
-    assert topology(result).watertight
-    assert edge_table(result.faces).faces.max() == 2
 
 
 def test_small_pieces_go_by_their_share():

@@ -54,10 +54,3 @@ def test_pieces_connect_through_edges_not_corners():
     both = mesh_of(np.r_[far.vertices, far.vertices[:3] + 9], np.r_[far.faces, [[16, 17, 18]]])
     assert topology(both).components == 2
     assert topology(both).largest_component_share == pytest.approx(18 / 19)
-
-
-def test_a_fin_makes_an_edge_of_three():
-    mesh = tetrahedron()
-    fin = mesh_of(np.r_[mesh.vertices, [[0.5, -0.1, -0.1]]], np.r_[mesh.faces, [[0, 1, 4]]])
-    assert edge_table(fin.faces).faces.max() == 3
-    assert not topology(fin).watertight

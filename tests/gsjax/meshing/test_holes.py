@@ -46,10 +46,6 @@ def test_a_hole_is_closed_where_views_show_a_surface():
     assert after.oriented
 
 
-def test_one_view_alone_closes_nothing():
-    assert fill_holes(sheet(), views(1))[1].closed == 0
-
-
 def test_a_sheet_without_holes_stays():
     mesh = sheet(())
     found, report = fill_holes(mesh, views())

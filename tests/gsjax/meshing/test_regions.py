@@ -61,10 +61,3 @@ def test_a_long_tail_is_a_background_of_its_own():
         boxes["background"].box.longest, regions.BACKGROUND_FACTOR * boxes["foreground"].box.longest
     )
     assert regions.near_only(points)["foreground"].corners() == boxes["foreground"].corners()
-
-
-def test_a_foreground_is_the_middle_nine_tenths_half_as_large_again():
-    along = np.concatenate([np.full(50, -10.0), np.linspace(-1, 1, 901), np.full(50, 10.0)])
-    boxes = regions.near_and_far(np.repeat(along[:, None], 3, axis=1))
-    np.testing.assert_allclose(boxes["foreground"].corners(), [[-1.5] * 3, [1.5] * 3])
-    np.testing.assert_allclose(boxes["background"].corners(), [[-6.0] * 3, [6.0] * 3])

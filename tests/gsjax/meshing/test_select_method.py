@@ -37,13 +37,6 @@ def test_the_usual_mesh_stays_unless_another_agrees_clearly_more():
     assert chosen(usual=0.5, other=0.51, margin=0.0) == "other"
 
 
-def test_near_the_whole_what_is_left_decides():
-    left = 0.06  # less than the margin allows to lead by
-    assert chosen(usual=1 - left, other=1 - 1.01 * 2 / 3 * left) == "usual"
-    assert chosen(usual=1 - left, other=1 - 0.99 * 2 / 3 * left) == "other"
-    assert chosen(usual=1.0, other=1.0) == "usual"
-
-
 def test_what_finds_no_surface_is_passed_by():
     assert chosen(usual=None, other=0.2, third=0.24) == "other"
     with pytest.raises(InputError, match="first finds nothing"):

@@ -37,12 +37,6 @@ def test_pixels_of_a_plane_are_those_whose_rays_meet_it(turn):
     assert_close(pixels_of_faces(wall, view).sum(), met, rtol=0.01, why="the plane's outline is 500 pixels long")
 
 
-@pytest.mark.parametrize("view", [camera(4.0, behind=True), camera(4.0, np.pi)])
-def test_what_no_camera_looks_at_takes_no_texels(view):
-    assert not pixels_of_faces(plane(2), view).any()
-    assert texture_side(plane(2), [view], **BOUNDS) == STEP
-
-
 def test_the_side_follows_the_view_that_sees_most():
     wall, near, far = plane(20), camera(4.0, size=4.0), camera(16.0)
     expected = np.sqrt(4 * pixels_of_faces(wall, near).sum() / FILLED)  # four texels a pixel

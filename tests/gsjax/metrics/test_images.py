@@ -105,12 +105,6 @@ def test_ssim_gradient_equals_central_differences(images, argument):
             np.testing.assert_allclose(np.sum(gradient * direction), (ends[0] - ends[1]) / 2e-5, rtol=1e-6)
 
 
-def test_ssim_maps_over_a_batch(images):
-    image, target = as_float32(*images)
-    batch = jax.vmap(ssim)(jnp.stack([image, target]), jnp.stack([target, target]))
-    np.testing.assert_allclose(batch, [ssim(image, target), 1.0], rtol=1e-5)
-
-
 def test_image_smaller_than_the_window():
     image, target = np.full((1, 2, 3), 0.4), np.full((1, 2, 3), 0.6)
     np.testing.assert_allclose(ssim_map(*as_float32(image, target)), ssim_oracle(image, target), rtol=1e-4)

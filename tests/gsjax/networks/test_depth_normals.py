@@ -117,17 +117,6 @@ def test_a_scene_without_tracks_is_refused(tmp_path):
         DepthNormals(DepthEstimator(RECORD, network(tmp_path / "w.onnx")), scene)
 
 
-@pytest.mark.parametrize("kind", ["disparity", "depth"])
-def test_a_fit_finds_scale_and_shift_among_a_third_of_wrong_points(kind):
-    rng = np.random.default_rng(0)
-    depths = rng.uniform(2, 9, 300)
-    values = ((1 / depths if kind == "disparity" else depths) - 0.03) / 1.7
-    depths = depths * np.where(rng.random(300) < 1 / 3, rng.uniform(0.3, 2, 300), rng.normal(1, 0.01, 300))
-    fit = fit_depth(values, depths, kind)
-    assert fit.fault is None and fit.explained > 0.9
-    assert fit.scale == pytest.approx(1.7, rel=0.02) and fit.shift == pytest.approx(0.03, abs=0.01)
-
-
 def test_a_fit_says_why_it_must_not_be_used():
     rng = np.random.default_rng(0)
     depths, values = rng.uniform(2, 4, 100), rng.random(100)

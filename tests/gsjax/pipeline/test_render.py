@@ -167,12 +167,9 @@ def test_a_mesh_has_depth_and_normals_and_is_seen_along_a_path(tmp_path, monkeyp
     [
         (["run", "--out", "film.avi", "--through-photos"], "--out film.avi: a film ends in .mp4, .webm, .gif"),
         (["run", "--out", "film.mp4"], "--out film.mp4: a film needs --turntable, --through-photos or --path"),
-        (["run", "--out", "film.gif", "--held-out"], "--out film.gif: a film needs --turntable, --through-photos or"),
         (["run", "--out", "film.mp4", "--turntable", "--seconds", "0"], "--seconds 0 is not above 0 and 3600 at most"),
-        (["run", "--out", "film.mp4", "--turntable", "--fps", "0"], "--fps 0 is not above 0 and 240 at most"),
         (["run", "--out", "film.mp4", "--turntable", "--fps", "1000"], "--fps 1000 is not above 0 and 240 at most"),
         (["run", "--out", "film.mp4", "--turntable", "--size", "641x480"], "--size 641x480: sides are even, and betwe"),
-        (["run", "--out", "film.mp4", "--turntable", "--size", "64"], "64: not a size such as 1280x720"),
         (["run", "--out", "film.mp4", "--turntable", "--seconds", "3000"], "are 90000 pictures, more than 36000"),
         (["run", "--out", "film.mp4", "--path", "none.json"], "none.json: cannot be read (No such file or directory)"),
         (["run", "--out", "pictures", "--fps", "10"], "--fps is for films, and --out pictures does not end in .mp4"),
@@ -182,7 +179,6 @@ def test_a_mesh_has_depth_and_normals_and_is_seen_along_a_path(tmp_path, monkeyp
         (["run", "--out", "t.gif", "--turntable", "--up", "0", "0", "1"], "run: is no mesh; --up is for meshes"),
         (["absent.ply", "--out", "t.gif", "--turntable"], "absent.ply: no such file or folder"),
         (["m.obj", "--out", "t.gif", "--through-photos"], "m.obj: has fewer than two photos to pass"),
-        (["m.obj", "--out", "pictures"], "m.obj: has no views to render"),
         (
             ["m.obj", "--out", "t.gif", "--turntable", "--size", "4096x4096", "--seconds", "1000", "--fps", "36"],
             "t.gif: 36000 pictures of 4096x4096 takes",

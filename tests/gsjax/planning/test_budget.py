@@ -73,15 +73,6 @@ def test_gaussians_that_move_by_error_have_as_many_steps_as_before(factor, every
     assert budget.scaled(settings, factor).density.every == every
 
 
-def test_another_length_shares_its_time_between_gaussians_and_steps():
-    quarter, four = (budget.resized(NAMED["fast"], factor) for factor in (0.25, 4.0))
-    assert (quarter.model.max_gaussians, four.model.max_gaussians) == (30_000, 120_000)
-    steps = NAMED["fast"].schedule.steps
-    assert quarter.schedule.steps == pytest.approx(0.25 * steps / 0.65, abs=2)  # a step with half of them costs 0.65
-    assert four.schedule.steps == pytest.approx(4 * steps / 1.7, abs=2)
-    assert budget.resized(NAMED["fast"], 1.0) == NAMED["fast"]
-
-
 class Machine:
     """A clock, a data set, and runs whose steps take what a test says; measuring one takes 4 s, compiling 6 s."""
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsjax.pipeline.diagnose import apart, apart_line
 from gsjax.planning import sparse_views
 from gsjax.planning.sparse_views import (
     FAR_APART,
@@ -68,12 +67,6 @@ def test_regularized_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none
     assert [phase.dropout for phase in found.phases] == [LEFT_OUT, LEFT_OUT]
     assert len(found.phases[0].terms) == len(PLAN.phases[0].terms) + 1
     assert regularize(found, may_lower=False) == found, "a run that goes on is the run that it was"
-
-
-def test_another_share_and_more_points_that_are_asked_for_stay():
-    found = regularize(plan(SETTINGS.replace(schedule={"dropout": 0.5}, model={"stereo_points": 200})))
-    assert [phase.dropout for phase in found.phases] == [0.5, 0.5]
-    assert found.stereo_points == 200
 
 
 @pytest.mark.parametrize("degrees", [FAR_APART - 1, FAR_APART + 1])
@@ -151,12 +144,3 @@ def test_a_run_that_goes_on_is_as_it_was_decided(gain):
     found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=never, before=known, may_lower=False)
     assert asdict(decision) == known
     assert found == (regularize(PLAN, may_lower=False) if was_held else PLAN)
-
-
-@pytest.mark.parametrize(("degrees", "held_out", "tried"), [(4.0, (), True), (30.0, (0, 5), False)])
-def test_diagnose_says_what_training_does(degrees, held_out, tried):
-    """Four photos are too few for a trial."""
-    found = apart(arc(degrees, held_out=held_out))
-    assert found == {"photos": PHOTOS - len(held_out), "degrees": pytest.approx(degrees, abs=0.02), "tried": tried}
-    assert f"{found['photos']} to train on, {degrees:.0f} degrees apart" in apart_line(found)
-    assert (": presets try whether" in apart_line(found)) == tried

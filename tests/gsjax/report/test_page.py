@@ -16,7 +16,7 @@ from gsjax.io import json_files
 from gsjax.pipeline.compare import compare
 from gsjax.presets import PRESETS
 from gsjax.rendering.gallery import Picture
-from gsjax.report import tables, view_pictures
+from gsjax.report import view_pictures
 from gsjax.report.curves import LEFT, RIGHT
 from gsjax.report.page import noted, report
 from gsjax.scene import Pixels, frame_of
@@ -144,16 +144,6 @@ def test_the_lines_are_the_metrics(run):
     np.testing.assert_allclose(held_out[:, 0], LEFT + (RIGHT - LEFT) * np.array([100, 150, 200]) / 200, atol=0.01)
     seconds = page.lines[6][1]
     np.testing.assert_allclose(seconds[:, 0], LEFT + (RIGHT - LEFT) * np.array([14, 21, 30.5]) / 30.5, atol=0.01)
-
-
-def test_what_a_stage_measured_is_told(run):
-    figures = {"psnr": 26.5, "chamfer": 0.01, "floor": {"chamfer": 0.001}}
-    assert noted(run, "eval", lambda: figures) == figures
-    page = Page(run / "report.html")
-    assert page.cells["psnr"] == ["26.5"] and page.cells["floor.chamfer"] == ["0.001"]
-    stage = json_files.read(run / "manifest.json")["stages"]["eval"]
-    assert page.cells["eval"][:2] == [tables.format_value(stage["seconds"]), tables.format_value(stage["peak_gib"])]
-    assert noted(run / "mesh.ply", "mesh", lambda: figures) == figures, "of no run nothing is noted"
 
 
 def test_work_that_is_done_is_not_lost_where_the_report_cannot_be_written(run, capsys):

@@ -199,14 +199,3 @@ def test_metrics_are_cut_back_to_the_resumed_step(run):
         '{"step": 20, "loss": 0.5, "psnr": null}',
         '{"step": 21}',
     ]
-
-
-def test_the_manifest_lists_the_files(run):
-    runs.append_metrics(run, {"step": 1})
-    runs.save_checkpoint(run, 1, {"x": np.zeros(1)})
-    runs.update_manifest(run, status="done", train_seconds=np.float64(1.5))
-    manifest = json_files.read(run / "manifest.json")
-    assert manifest["status"] == "done"
-    assert manifest["train_seconds"] == 1.5
-    assert manifest["seed"] == 3
-    assert manifest["files"] == ["checkpoints/step_0000001.npz", "config.json", "manifest.json", "metrics.jsonl"]

@@ -108,16 +108,6 @@ def test_masks_decide_what_is_valid(scale):
     assert_close(batches.decode(target, BLACK).valid, majority)
 
 
-def test_normal_maps_are_padded_with_nothing_and_read_back_in_float32():
-    data = batches.read_batches((frame(6, 4), frame(4, 3)))
-    maps = [RNG.integers(-127, 128, (4, 6, 3), np.int8), RNG.integers(-127, 128, (3, 4, 3), np.int8)]
-    batch = batches.decode(batches.with_normals(data, maps).views[1], BLACK)
-    assert batch.normals.dtype == jnp.float32
-    assert_close(batch.normals[:3, :4], maps[1] / 127)
-    assert_close(batch.normals[3:], np.zeros((1, 6, 3)))
-    assert batches.decode(data.views[1], BLACK).normals is None
-
-
 def test_a_smaller_pixel_has_the_mean_of_its_normals_as_long_as_they_agree():
     data = batches.read_batches((frame(6, 4), frame(4, 3)), scale=2)
     maps = [np.zeros((4, 6, 3), np.int8), np.tile(np.int8([0, 0, -127]), (3, 4, 1))]

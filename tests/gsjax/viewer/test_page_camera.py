@@ -7,7 +7,7 @@ from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.scene.cameras import Camera
-from gsjax.viewer.page_camera import FOVS, PageCamera, camera_of, page_camera, picture_size
+from gsjax.viewer.page_camera import FOVS, PageCamera, camera_of, page_camera
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])
 PAGE = PageCamera(np.array([0.3, -2.0, 1.5]), TURN.as_quat(scalar_first=True), 1.1, 1710, 903)
@@ -61,18 +61,3 @@ def test_a_field_of_view_that_no_pinhole_has_is_the_nearest_one(fov, shown):
     camera = camera_of(PAGE._replace(fov=fov), (64, 48))
     assert np.isfinite(camera.K).all() and (np.diag(camera.K) > 0).all()
     np.testing.assert_allclose(2 * np.arctan(24 / camera.K[1, 1]), shown, rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("page", "size"),
-    [((1920, 1080), (960, 544)), ((1000, 1000), (960, 960)), ((400, 860), (480, 960)), ((9000, 100), (960, 416))],
-)
-def test_a_picture_has_the_nearest_of_a_few_shapes(page, size):
-    assert picture_size(PAGE._replace(width=page[0], height=page[1]), 960) == size
-
-
-def test_a_page_without_an_area_is_square_and_has_a_camera():
-    page = PAGE._replace(width=0, height=0)
-    assert picture_size(page, 320) == (320, 320)
-    K = camera_of(page, (320, 320)).K
-    assert K[0, 0] == K[1, 1] > 0

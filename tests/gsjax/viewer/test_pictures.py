@@ -2,10 +2,8 @@
 
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from small_scenes import camera_at, cloud
 
-from gsjax.errors import InputError
 from gsjax.rendering import backdrop, gallery
 from gsjax.scene.colors import to_bytes
 from gsjax.viewer.page_camera import camera_of, page_camera
@@ -41,9 +39,3 @@ def test_a_view_of_nothing_is_the_background_and_a_sky_depends_on_the_direction(
     assert expected.std(axis=(0, 1)).max() > 5
     for shown in (draw_picture(COLOR, SCENE, away, sky), bare_background(sky, away)):
         np.testing.assert_allclose(shown.astype(int), expected.astype(int), atol=1)
-
-
-def test_a_view_without_room_is_one_line(monkeypatch):
-    monkeypatch.setattr(gallery.rendering, "largest_need", lambda *_: np.iinfo(np.int64).max)
-    with pytest.raises(InputError, match="there is no room for what this view shows at 32x32; step back"):
-        draw_picture(COLOR, SCENE, camera(), BACKGROUND)

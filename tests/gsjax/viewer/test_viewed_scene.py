@@ -9,9 +9,7 @@ from small_scenes import camera_at, cloud
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.compressed_ply import write_compressed_ply
 from gsjax.io.ply import write_gaussians
-from gsjax.io.spz import write_spz
 from gsjax.meshing.export import glb_bytes, read_mesh, write_mesh
 from gsjax.runs import viewpoints
 from gsjax.runs.result import write_views
@@ -59,17 +57,6 @@ def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(
     assert open_viewed_scene(run).mesh == run / "mesh.ply"
     write_mesh(run / "other.obj", TETRAHEDRON)
     assert open_viewed_scene(run, mesh=run / "other.obj").mesh == run / "other.obj"
-
-
-@pytest.mark.parametrize(
-    ("name", "write"),
-    [("a.ply", write_gaussians), ("a.compressed.ply", write_compressed_ply), ("A.SPZ", write_spz)],
-)
-def test_every_file_of_gaussians_is_shown_as_such(tmp_path, placed, name, write):
-    write(tmp_path / name, cloud(30))
-    viewed = open_viewed_scene(tmp_path / name)
-    assert viewed.gaussians.num_gaussians == 30 and viewed.mesh is None
-    assert not viewed.cameras, "those placed around it are not the scene's"
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])

@@ -195,8 +195,8 @@ def test_a_ply_says_that_its_picture_is_missing_in_one_line(tmp_path, capsys, ca
 def test_reading_takes_few_times_the_memory_of_what_it_returns(tmp_path, name):
     """4.3 times; what the file says a second time, and copies of parts that stand in their place, made it 9.5."""
     random = np.random.default_rng(0)
-    colors, faces = random.integers(0, 256, (20_000, 3), np.uint8), random.integers(0, 20_000, (40_000, 3), np.int32)
-    write_mesh(tmp_path / name, Mesh(random.normal(size=(20_000, 3)).astype(np.float32), faces, colors))
+    colors, faces = random.integers(0, 256, (10_000, 3), np.uint8), random.integers(0, 10_000, (20_000, 3), np.int32)
+    write_mesh(tmp_path / name, Mesh(random.normal(size=(10_000, 3)).astype(np.float32), faces, colors))
     read_mesh(tmp_path / name)  # Libraries are loaded.
     tracemalloc.start(1)
     found = read_mesh(tmp_path / name)
