@@ -105,41 +105,41 @@ def test_intersections_are_those_of_a_loop():
         assert offsets[image, y, x] == sum(key < first for key, _ in expected)
 
 
+@jax.jit
+def projected(scene):
+    """Covariances and their inverses; what the stages make of them; and all at once, of axes and of triangles."""
+    covars, precis = rasterizer.quat_scale_to_covar_preci(scene.quats, scene.scales)
+    triangles, _ = rasterizer.quat_scale_to_covar_preci(scene.quats, scene.scales, triu=True)
+    means, in_camera = rasterizer.world_to_cam(scene.means, covars, scene.viewmats)
+    staged = means[..., 2], *rasterizer.proj(means, in_camera, scene.Ks, *SIZE)
+    shapes, cameras = ((None, scene.quats, scene.scales), (triangles, None, None)), (scene.viewmats, scene.Ks)
+    fused = [rasterizer.fully_fused_projection(scene.means, *shape, *cameras, *SIZE) for shape in shapes]
+    return covars, precis, staged, *fused
+
+
 def test_fused_and_staged_projection_agree_and_batches_are_their_members():
-    covars, precis = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales)
-    means, covars = rasterizer.world_to_cam(SCENE.means, covars, SCENE.viewmats)
-    means2d, covars2d = rasterizer.proj(means, covars, SCENE.Ks, *SIZE)
-    triangles, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, triu=True)
-    cameras = SCENE.viewmats, SCENE.Ks
-    of_axes = rasterizer.fully_fused_projection(SCENE.means, None, SCENE.quats, SCENE.scales, *cameras, *SIZE)
-    of_triangles = rasterizer.fully_fused_projection(SCENE.means, triangles, None, None, *cameras, *SIZE)
+    covars, precis, (z, means2d, covars2d), of_axes, of_triangles = projected(SCENE)
     radii, fused_means2d, depths, conics, compensations = of_axes
     seen = np.asarray(radii > 0).all(-1)
     assert seen.any() and not seen.all() and compensations is None
     assert_close(of_triangles[3], conics, rtol=1e-4, atol=1e-5, why="a determinant from products of covariances")
     np.testing.assert_array_equal(of_triangles[0], radii)
     assert_close(fused_means2d, means2d, rtol=1e-5, atol=1e-4, why="pixels")
-    assert_close(depths, means[..., 2])
+    assert_close(depths, z)
     blurred = np.asarray(covars2d, np.float64) + 0.3 * np.eye(2)
     inverse = np.linalg.inv(blurred)[..., [0, 0, 1], [0, 1, 1]]
     assert_close(np.asarray(conics)[seen], inverse[seen], rtol=1e-3, atol=1e-5, why="the oracle inverts in float32")
     # Radii: 3.33 standard deviations, rounded up.
     expected = np.ceil(3.33 * np.sqrt(np.diagonal(blurred, axis1=-2, axis2=-1)))
     assert np.abs(np.asarray(radii)[seen] - expected[seen]).max() <= 1
-    np.testing.assert_allclose(
-        np.asarray(precis), np.linalg.inv(np.asarray(covars[0] * 0) + _world_covars()), rtol=2e-3
-    )
+    np.testing.assert_allclose(precis, np.linalg.inv(np.asarray(covars, np.float64)), rtol=2e-3)
 
+    cameras = SCENE.viewmats, SCENE.Ks
     batch = jax.tree.map(lambda x: jnp.stack([x, x[::-1]]), (SCENE.means, SCENE.quats, SCENE.scales))
     both = jax.tree.map(lambda x: jnp.stack([x, x]), cameras)
     batched = rasterizer.fully_fused_projection(batch[0], None, batch[1], batch[2], *both, *SIZE)
     assert_close(batched[3][1], conics[:, ::-1])
     assert batched[0].shape == (2, 2, 40, 2)
-
-
-def _world_covars():
-    covars, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, compute_preci=False)
-    return np.asarray(covars, np.float64)
 
 
 def test_compensations_and_the_clip_of_small_radii():

@@ -56,7 +56,7 @@ def passes():
     static = Static(grid, GSPLAT, engine)
     splats = projection.means2d[0], projection.conics[0], scene.opacities[:, None], scene.colors
     lists = jnp.concatenate(splats, -1), (pairs.splats, pairs.offsets)
-    blended = engine.forward(static, *lists)
+    blended = jax.jit(partial(engine.forward, static))(*lists)
     slopes = (jnp.asarray(np.random.default_rng(1).normal(size=x.shape), jnp.float32) for x in blended[:2])
     return (*lists, blended.transmittance, blended.last, *slopes, *blended.residuals), partial(engine.backward, static)
 
