@@ -33,6 +33,7 @@ class Scene:
 
 # The native loops are the CPU's; with GSJAX_TEST_GPU=1 the tests may run elsewhere.
 BACKENDS = ("reference", *(["native"] if jax.default_backend() == "cpu" else []), "xla", "pallas")
+OWN = "native" if "native" in BACKENDS else "pallas"  # the backend that this device takes by itself
 GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "colors")
 
 

@@ -220,20 +220,9 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
     calls = []
     monkeypatch.setattr(pipeline, "refine", lambda *args, **kwargs: calls.append((args, kwargs)) or {"psnr": 30.0})
     assert cli.main(["refine", "run", "--out", "o"]) == 0
-    options = [
-        "--preset",
-        "medium",
-        "--faces",
-        "500",
-        "--per-triangle",
-        "6",
-        "--mesh",
-        "m.obj",
-        "--resume",
-        "--bound-only",
-        "--photo-refine",
-    ]
-    assert cli.main(["refine", "run", "--out", "o", *options, "--set", "weights.alpha=2", "opacity=0.5"]) == 0
+    options = ["--preset", "medium", "--faces", "500", "--per-triangle", "6", "--mesh", "m.obj"]
+    switches = ["--resume", "--bound-only", "--photo-refine", "--set", "weights.alpha=2", "opacity=0.5"]
+    assert cli.main(["refine", "run", "--out", "o", *options, *switches]) == 0
     (first, keywords), (second, more) = calls
     assert first == ("run", "o", config.parse(Refinement, PRESETS["fast"]))
     assert keywords == {}

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import GAUSSIAN_FIELDS, binned, cloud, evaluate, relative_errors, render, single
+from scenes import GAUSSIAN_FIELDS, OWN, binned, cloud, evaluate, relative_errors, render, single
 from tolerances import assert_close
 
 from rasterizer import GSPLAT, INRIA, Front, _reference, blend, spherical_harmonics
@@ -60,7 +60,7 @@ def test_depth_modes_are_the_depths_as_a_colour():
     assert np.asarray(info["depths"])[0].min() <= normalised[shown].min()
 
 
-@pytest.mark.parametrize("backend", ["native", *(pytest.param(x, marks=pytest.mark.long) for x in ("xla", "pallas"))])
+@pytest.mark.parametrize("backend", [OWN, pytest.param("xla", marks=pytest.mark.long)])
 def test_inria_rules_pass_the_gradient_straight_through_the_clamp(backend):
     # Under opacity 0.35 the 3 sigma extent hides nothing that passes the cut: the tiles can equal the dense oracle.
     faint = cloud()

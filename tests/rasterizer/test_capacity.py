@@ -49,16 +49,6 @@ def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
         assert error < 1e-4, (name, error)
 
 
-@pytest.mark.long
-def test_no_capacity_just_works_under_vmaps_in_each_other():
-    many = [replace(SCENE, scales=scale * SCENE.scales) for scale in (1, 0.2, 0.5, 0.7)]
-    batch = jax.tree.map(lambda *x: jnp.stack(x).reshape(2, 2, *x[0].shape), *many)
-    images, _, info = jax.vmap(jax.vmap(render))(batch)
-    assert not info["overflowed"].any() and info["splats"].shape[-1] == render(SCENE)[2]["splats"].size
-    for i, scene in enumerate(many):
-        assert_close(images[i // 2, i % 2], render(scene, capacity=ENOUGH)[0])
-
-
 def test_the_reference_needs_no_capacity_inside_jit():
     image = jax.jit(lambda s: render(s, backend="reference")[0])(SCENE)
     assert_close(image, render(SCENE, capacity=ENOUGH)[0])

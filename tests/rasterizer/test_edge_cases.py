@@ -18,6 +18,7 @@ import pytest
 from scenes import (
     BACKENDS,
     GAUSSIAN_FIELDS,
+    OWN,
     cloud,
     evaluate,
     evaluate_in_front,
@@ -93,14 +94,14 @@ SHOWN = {
     "mean far outside the image": {"means": (60.0, -20.0, 2.0), "scales": (40.0, 0.3, 30.0)},
 }
 FEW = "native", "pallas"  # backends: the CPU's own, and the kernels that no other test of a CPU runs
-BY_NIGHT = [each if each == "native" else pytest.param(each, marks=pytest.mark.long) for each in BACKENDS]
+BY_NIGHT = [each if each == OWN else pytest.param(each, marks=pytest.mark.long) for each in BACKENDS]
 # Other camera models. Blending knows of none: one engine shows it, the others by night.
 OTHER_MODELS = {
     "fisheye": {"camera_model": "fisheye", "radial_coeffs": np.array([[0.05, -0.02, 0.01, -0.003]])},
     "ortho": {"camera_model": "ortho"},
 }
 IN_WHICH = [
-    pytest.param(model, backend, marks=[] if (model, backend) == ("fisheye", "native") else [pytest.mark.long])
+    pytest.param(model, backend, marks=[] if (model, backend) == ("fisheye", OWN) else [pytest.mark.long])
     for model in OTHER_MODELS
     for backend in BACKENDS
 ]
@@ -201,8 +202,8 @@ def few(request):
 
 @pytest.fixture
 def alone(request):
-    """The backends for what all share, or are asked elsewhere: the native loops, or all with --long."""
-    return BACKENDS if request.config.getoption("--long") else [each for each in BACKENDS if each == "native"]
+    """The backends for what all share, or are asked elsewhere: this device's own, or all with --long."""
+    return BACKENDS if request.config.getoption("--long") else [OWN]
 
 
 @pytest.mark.parametrize("name", SHOWN)
@@ -212,11 +213,10 @@ def test_what_can_show_agrees_with_float64(name, agree_with_float64):
     agree_with_float64(name, scene)
 
 
-@pytest.mark.parametrize("make_scene", [cloud, stacks])
-def test_pixels_that_see_to_the_end_and_that_stop_early_agree_with_float64(make_scene, agree_with_float64):
-    scene = make_scene()
-    agree_with_float64(make_scene.__name__, scene)
-    agree_with_float64(make_scene.__name__, scene, 3e-6, 2e-5, backends=["reference", "xla"])
+@pytest.mark.parametrize(("name", "scene"), [("nothing odd", cloud()), ("pixels that stop early", stacks())])
+def test_pixels_that_see_to_the_end_and_that_stop_early_agree_with_float64(name, scene, agree_with_float64):
+    agree_with_float64(name, scene)
+    agree_with_float64(name, scene, 3e-6, 2e-5, backends=["reference", "xla"])
 
 
 @pytest.mark.parametrize("name", SEEN_OTHERWISE)
@@ -312,7 +312,7 @@ def test_thousands_stacked_on_one_pixel(opacity, agree_with_float64, alone):
         # tile's centre, 1.5 px away, and loses the square of that ratio. Measured 2e-3.
         bound = 5e-3 if backend == "xla" else 1e-4
         agree_with_float64(name, pile, gradient_bound=bound, backends=[backend], capacity=4096)
-    _, alphas, _, gradient = evaluate(pile, "native", capacity=4096)
+    _, alphas, _, gradient = evaluate(pile, OWN, capacity=4096)
     assert np.max(alphas) > 0.999
     if opacity == 0.9:
         # Pixels stop after a few: most splats get exactly nothing.

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scenes import OWN
 from tolerances import assert_close
 
 import rasterizer
@@ -24,11 +25,10 @@ def golden(shared):
 
 
 # The numbers are of the formulas, which the engines share. The kernels are asked where they are not interpreted.
-FIRST = "native" if jax.default_backend() == "cpu" else "pallas"
-OTHERS = [pytest.param(name, marks=pytest.mark.long) for name in ("pallas", "xla", "reference") if name != FIRST]
+OTHERS = [pytest.param(name, marks=pytest.mark.long) for name in ("pallas", "xla", "reference") if name != OWN]
 
 
-@pytest.fixture(scope="module", params=[FIRST, *OTHERS])
+@pytest.fixture(scope="module", params=[OWN, *OTHERS])
 def rendered(golden, request):
     """Image, alphas, info and gradients of the golden loss from one backend in float32."""
     width, height = int(golden["width"]), int(golden["height"])

@@ -24,21 +24,10 @@ def shown():
 
 def reference(scene, camera, **options):
     """Colours and expected depth of the dense backend."""
-    return rasterizer.rasterization(
-        scene.means,
-        scene.quats,
-        scales(scene),
-        opacities(scene),
-        sh_coefficients(scene),
-        camera.viewmat[None],
-        camera.K[None],
-        camera.width,
-        camera.height,
-        sh_degree=1,
-        render_mode="RGB+ED",
-        backend="reference",
-        **options,
-    )
+    shape = scene.means, scene.quats, scales(scene), opacities(scene)
+    cameras = camera.viewmat[None], camera.K[None], camera.width, camera.height
+    how = {"sh_degree": 1, "render_mode": "RGB+ED", "backend": "reference", **options}
+    return rasterizer.rasterization(*shape, sh_coefficients(scene), *cameras, **how)
 
 
 @pytest.mark.parametrize("index", [0, 1])

@@ -11,7 +11,7 @@ from tolerances import assert_close
 
 import rasterizer
 from gsjax import rendering
-from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients
+from gsjax.gaussians import opacities, scales, sh_coefficients
 from rasterizer import _reference
 
 CAMERA = camera_at((0.4, -0.3, 0.2), (0.1, 0.1, 4.0))
@@ -22,38 +22,16 @@ SCENE = cloud(ALIVE, capacity=48, sh_degree=2)
 
 
 @partial(jax.jit, static_argnames=("depth_mode", "with_axes"))
-def shown(
-    gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, depth_mode="plane", extra=None, with_axes=False
-):
-    return rendering.render(
-        gaussians,
-        camera,
-        capacity=CAPACITY,
-        background=background,
-        active_degree=active_degree,
-        with_depth=True,
-        depth_mode=depth_mode,
-        extra=extra,
-        with_axes=with_axes,
-    )
+def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, **options):
+    how = {"capacity": CAPACITY, "background": background, "active_degree": active_degree, "with_depth": True}
+    return rendering.render(gaussians, camera, **how, **options)
 
 
 def dense_reference(gaussians, sh_degree=2, **options):
-    image, alphas, _ = rasterizer.rasterization(
-        gaussians.means,
-        gaussians.quats,
-        scales(gaussians),
-        opacities(gaussians),
-        sh_coefficients(gaussians),
-        CAMERA.viewmat[None],
-        CAMERA.K[None],
-        CAMERA.width,
-        CAMERA.height,
-        sh_degree=sh_degree,
-        render_mode="RGB+D",
-        backend="reference",
-        **{"depth_mode": "plane", **options},
-    )
+    shape = gaussians.means, gaussians.quats, scales(gaussians), opacities(gaussians)
+    cameras = CAMERA.viewmat[None], CAMERA.K[None], CAMERA.width, CAMERA.height
+    how = {"sh_degree": sh_degree, "render_mode": "RGB+D", "backend": "reference", "depth_mode": "plane", **options}
+    image, alphas, _ = rasterizer.rasterization(*shape, sh_coefficients(gaussians), *cameras, **how)
     return np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
 
 
@@ -181,7 +159,7 @@ def test_dead_rows_are_invisible_and_have_no_gradient():
 
 def test_depth_is_zero_where_little_is_covered():
     faint = plane((0.0, 0.0, -1.0))
-    faint = Gaussians(**{**faint.__dict__, "logit_opacities": jnp.full_like(faint.logit_opacities, -3.5)})
+    faint = replace(faint, logit_opacities=jnp.full_like(faint.logit_opacities, -3.5))
     view = shown(faint, 0, camera_at())
     assert 0.01 < float(view.alphas.min()) <= float(view.alphas.max()) < rendering.MIN_COVERAGE
     assert not np.any(view.depth)

@@ -31,24 +31,25 @@ SH_EVERY = 2
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
 
 
+OPTIMIZER = make_optimizer(Rates(means=2e-3), 1.0, 200)
+PHOTOS = weigh_terms(Weights(alpha=0.1))
+
+
+def step_with(terms=PHOTOS, **changes):
+    """The compiled step of a vanilla phase over random colours, but for what is changed."""
+    how = {"capacity": PAIRS, "background": BACKGROUNDS["random"], "rule": DENSIFICATION_RULES["adc"]}
+    return make_train_step(OPTIMIZER, terms, sh_every=SH_EVERY, **how | changes)
+
+
 @pytest.fixture(scope="module")
 def setup(empty_caches):
-    """Photos with mattes of one cloud, the optimiser, and the compiled step of a vanilla phase over random colours."""
-    optimizer = make_optimizer(Rates(means=2e-3), 1.0, 200)
-    step = make_train_step(
-        optimizer,
-        weigh_terms(Weights(alpha=0.1)),
-        capacity=PAIRS,
-        background=BACKGROUNDS["random"],
-        sh_every=SH_EVERY,
-        rule=DENSIFICATION_RULES["adc"],
-    )
+    """Photos with mattes of one cloud, and the usual step."""
     data = batches.read_batches(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
-    return SimpleNamespace(optimizer=optimizer, step=step, data=data)
+    return SimpleNamespace(step=step_with(), data=data)
 
 
-def start(setup):
-    return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), setup.optimizer)
+def start():
+    return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER)
 
 
 def run(setup, state, steps):
@@ -74,21 +75,21 @@ def moments(state, field):
 
 
 def test_one_compilation_serves_all_views_steps_and_bands(setup):
-    state, metrics = run(setup, start(setup), 7)
+    state, metrics = run(setup, start(), 7)
     assert setup.step._cache_size() == 1
     assert int(state.step) == 7
     assert not any(bool(m.overflowed) for m in metrics)
 
 
 def test_the_picture_comes_nearer_to_the_photos(setup):
-    _, metrics = run(setup, start(setup), 60)
+    _, metrics = run(setup, start(), 60)
     first, last = (np.mean([float(m.psnr) for m in part]) for part in (metrics[:3], metrics[-3:]))
     assert last > first + 5  # decibels
     assert float(metrics[-1].loss) < 0.6 * float(metrics[0].loss)
 
 
 def test_the_report_is_of_the_view_before_the_update(setup):
-    before = start(setup)
+    before = start()
     gaussians = copied(before.gaussians)
     color = BACKGROUNDS["random"](jax.random.fold_in(KEY, 0))
     _, metrics = setup.step(before, setup.data.views[1], KEY)
@@ -105,7 +106,7 @@ def test_the_report_is_of_the_view_before_the_update(setup):
 
 def test_random_backgrounds_differ_between_steps_and_repeat(setup):
     def terms_at(step):
-        state = replace(start(setup), step=jnp.int32(step))
+        state = replace(start(), step=jnp.int32(step))
         return {k: float(v) for k, v in setup.step(state, setup.data.views[0], KEY)[1].terms.items()}
 
     assert terms_at(0) == terms_at(0)
@@ -122,17 +123,9 @@ def test_backgrounds_are_what_they_are_called():
 
 
 def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
-    state, _ = run(setup, start(setup), 2)
-    narrow = make_train_step(
-        setup.optimizer,
-        weigh_terms(Weights(alpha=0.1)),
-        capacity=64,
-        background=BACKGROUNDS["random"],
-        sh_every=SH_EVERY,
-        rule=DENSIFICATION_RULES["adc"],
-    )
+    state, _ = run(setup, start(), 2)
     before = copied(state)
-    after, metrics = narrow(state, setup.data.views[2], KEY)
+    after, metrics = step_with(capacity=64)(state, setup.data.views[2], KEY)
     assert bool(metrics.overflowed)
     assert_identical(after, before)
     camera = CAMERAS[2]
@@ -140,7 +133,7 @@ def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
 
 
 def test_dtypes_and_shapes_stay_whatever_happens_to_the_state(setup):
-    state = start(setup)
+    state = start()
     kinds = jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), state)
 
     def check(changed):
@@ -148,28 +141,18 @@ def test_dtypes_and_shapes_stay_whatever_happens_to_the_state(setup):
         return changed
 
     state = check(run(setup, state, 3)[0])
-    state = check(reset_opacities(state, optimizer=setup.optimizer, limit=0.01))
-    state = check(cull(state, optimizer=setup.optimizer, min_opacity=0.001))
-    state = check(
-        densify(
-            state,
-            KEY,
-            jnp.float32(2.0),
-            jnp.asarray(False),
-            optimizer=setup.optimizer,
-            density=Density(gradient=0),
-            budget=CAPACITY,
-            rule=DENSIFICATION_RULES["adc"],
-        )
-    )
+    state = check(reset_opacities(state, optimizer=OPTIMIZER, limit=0.01))
+    state = check(cull(state, optimizer=OPTIMIZER, min_opacity=0.001))
+    how = {"optimizer": OPTIMIZER, "budget": CAPACITY, "rule": DENSIFICATION_RULES["adc"]}
+    state = check(densify(state, KEY, jnp.float32(2.0), jnp.asarray(False), density=Density(gradient=0), **how))
     before = setup.step._cache_size()
     check(run(setup, state, 1)[0])
     assert setup.step._cache_size() == before > 0
 
 
 def test_dead_rows_stay_as_they_are(setup):
-    before = start(setup).gaussians
-    after = run(setup, start(setup), 5)[0].gaussians
+    before = start().gaussians
+    after = run(setup, start(), 5)[0].gaussians
     for field in FIELDS:
         old, new = np.asarray(getattr(before, field)), np.asarray(getattr(after, field))
         np.testing.assert_array_equal(new[ALIVE:], old[ALIVE:])
@@ -178,18 +161,10 @@ def test_dead_rows_stay_as_they_are(setup):
 
 
 def test_a_step_learns_of_those_that_it_draws_alone(setup):
-    step = make_train_step(
-        setup.optimizer,
-        weigh_terms(Weights(alpha=0.1)),
-        capacity=PAIRS,
-        background=BACKGROUNDS["random"],
-        sh_every=SH_EVERY,
-        rule=DENSIFICATION_RULES["adc"],
-        dropout=0.5,
-    )
+    step = step_with(dropout=0.5)
     stays = jax.random.uniform(jax.random.fold_in(jax.random.fold_in(KEY, 0), 3), (CAPACITY,), jnp.float32) >= 0.5
-    before = start(setup).gaussians
-    state, _ = step(start(setup), setup.data.views[0], KEY)
+    before = start().gaussians
+    state, _ = step(start(), setup.data.views[0], KEY)
     moved = np.abs(np.asarray(state.gaussians.means) - np.asarray(before.means)).max(1) > 0
     views = np.asarray(state.statistics.views)
     assert not moved[~stays].any() and not views[~stays].any()
@@ -198,7 +173,7 @@ def test_a_step_learns_of_those_that_it_draws_alone(setup):
 
 
 def test_statistics_count_the_views_and_the_gradient_of_each(setup):
-    state, _ = run(setup, start(setup), 3)
+    state, _ = run(setup, start(), 3)
     statistics = jax.tree.map(np.asarray, state.statistics)
     assert set(np.unique(statistics.views)) <= {0, 1, 2, 3}
     assert (statistics.views[:ALIVE] == 3).mean() > 0.5
@@ -224,21 +199,17 @@ def test_what_shows_in_the_padding_alone_is_not_seen_in_the_photo():
 def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
     monkeypatch.setattr(gradient_driven, "DENSE_SHARE", 0.25)
     monkeypatch.setattr(gradient_driven, "MIN_OPACITY", 0.0)
-    state, _ = run(setup, start(setup), 3)
+    state, _ = run(setup, start(), 3)
     mean_gradient = np.asarray(state.statistics.gradient / jnp.maximum(state.statistics.views, 1))
     # Room for 20: the threshold lets 30 ask; those under 0.1 units are cloned, the others split.
     density = Density(gradient=float(np.sort(mean_gradient)[-30]))
     before = jax.tree.map(np.array, state)
+    how = {"density": density, "extent": 1.0, "prune_large": False}
     expected, moved = gradient_driven.densify(
-        state.gaussians,
-        state.statistics,
-        jax.random.fold_in(KEY, state.step),
-        density=density,
-        extent=1.0,
-        prune_large=False,
+        state.gaussians, state.statistics, jax.random.fold_in(KEY, state.step), **how
     )
     source, fresh = np.asarray(moved.source), np.asarray(moved.fresh)
-    how = {"optimizer": setup.optimizer, "density": density, "budget": CAPACITY, "rule": DENSIFICATION_RULES["adc"]}
+    how = {"optimizer": OPTIMIZER, "density": density, "budget": CAPACITY, "rule": DENSIFICATION_RULES["adc"]}
     after = densify(state, KEY, jnp.float32(1.0), jnp.asarray(False), **how)
     assert_close(after.gaussians, expected)
     assert int(count_alive(after.gaussians)) == CAPACITY
@@ -253,9 +224,9 @@ def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
 
 
 def test_a_reset_forgets_the_moments_of_opacities_only(setup):
-    state, _ = run(setup, start(setup), 3)
+    state, _ = run(setup, start(), 3)
     before = jax.tree.map(np.array, state)
-    after = reset_opacities(state, optimizer=setup.optimizer, limit=0.01)
+    after = reset_opacities(state, optimizer=OPTIMIZER, limit=0.01)
     assert float(opacities(after.gaussians).max()) == pytest.approx(0.01, rel=1e-4)
     assert int(count_alive(after.gaussians)) == ALIVE
     for field in FIELDS:
@@ -267,10 +238,10 @@ def test_a_reset_forgets_the_moments_of_opacities_only(setup):
 
 
 def test_a_cull_kills_the_faint_and_leaves_the_others(setup):
-    state, _ = run(setup, start(setup), 3)
+    state, _ = run(setup, start(), 3)
     before = jax.tree.map(np.array, state)
     faint = np.asarray(opacities(before.gaussians)) < 0.5
-    after = cull(state, optimizer=setup.optimizer, min_opacity=0.5)
+    after = cull(state, optimizer=OPTIMIZER, min_opacity=0.5)
     assert 20 < faint[:ALIVE].sum() < ALIVE - 20
     assert int(count_alive(after.gaussians)) == (~faint).sum()
     assert_close(after.gaussians.logit_opacities[faint], np.full(faint.sum(), DEAD_LOGIT))
@@ -306,16 +277,9 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     data = batches.with_depths(batches.with_normals(setup.data, [normals] * 3), [measured] * 3)
     data = batches.with_skies(data, [np.ones(SIZE[::-1], bool)] * 3)
     terms = weigh_terms(dict.fromkeys(TERMS, 0.1))
-    capacity = int(1.1 * largest_need(start(setup).gaussians, data))
-    step = make_train_step(
-        setup.optimizer,
-        terms,
-        capacity=capacity,
-        background=BACKGROUNDS["white"],
-        sh_every=SH_EVERY,
-        rule=None,
-    )
-    state = start(setup)
+    capacity = int(1.1 * largest_need(start().gaussians, data))
+    step = step_with(terms, capacity=capacity, background=BACKGROUNDS["white"], rule=None)
+    state = start()
     for index in range(4):
         state, metrics = step(state, replace(data.views[index % 3], beside=data.views[(index + 1) % 3]), KEY)
         assert set(metrics.terms) == {each.name for each in terms}

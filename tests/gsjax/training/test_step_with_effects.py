@@ -72,19 +72,6 @@ def test_a_step_without_effects_is_that_of_a_program_that_never_heard_of_them(ru
     assert ours == theirs
 
 
-def names(tree) -> set[str]:
-    return {jax.tree_util.keystr(path) for path, _ in jax.tree.leaves_with_path(tree)}
-
-
-def test_what_is_absent_has_no_array():
-    assert not [name for name in names(start()) if "effects" in name]
-    rate = learning_rate(100)
-    only = {"exposure": exposure.make_effect(np.zeros((3, 3)), rate)}
-    added = names(start(only)) - names(start())
-    assert {name for name in added if ".numbers" in name} == {".effects.numbers['exposure']"}
-    assert all("vignetting" not in name for name in added)
-
-
 def test_held_effects_leave_the_others_as_they_were(data):
     """At gains of one, a factor of exactly 1, and a rate of zero: only the order of roundings may differ."""
     rate = learning_rate(3000)

@@ -232,15 +232,8 @@ def setup():
     data = batches.read_batches(photographed(cloud(50, seed=5), cameras))
 
     def step(rule):
-        return make_train_step(
-            optimizer,
-            weigh_terms(Weights(alpha=0.0)),
-            capacity=4096,
-            background=BACKGROUNDS["black"],
-            sh_every=10,
-            rule=rule,
-            extent=EXTENT,
-        )
+        how = {"capacity": 4096, "background": BACKGROUNDS["black"], "sh_every": 10, "extent": EXTENT}
+        return make_train_step(optimizer, weigh_terms(Weights(alpha=0.0)), rule=rule, **how)
 
     def start():
         return initial_state(cloud(ALIVE, capacity=ROWS, seed=1), optimizer, DENSIFICATION_RULES["error"])
@@ -253,19 +246,10 @@ def dense_weights(gaussians: Gaussians, camera: Camera):
     wide = jax.tree.map(lambda x: jnp.asarray(np.asarray(x, np.float64)), gaussians)
     colors = jnp.maximum(0.28209479177387814 * sh_coefficients(wide)[:, 0] + 0.5, 0)
     channels = jnp.concatenate([colors, jnp.eye(wide.num_gaussians)], -1)
-    image, _, _ = rasterizer.rasterization(
-        wide.means,
-        wide.quats,
-        scales(wide),
-        opacities(wide),
-        channels,
-        jnp.asarray(np.asarray(camera.viewmat, np.float64))[None],
-        jnp.asarray(np.asarray(camera.K, np.float64))[None],
-        camera.width,
-        camera.height,
-        backend="reference",
-    )
-    return image[0]
+    cameras = [jnp.asarray(np.asarray(part, np.float64))[None] for part in (camera.viewmat, camera.K)]
+    shape = wide.means, wide.quats, scales(wide), opacities(wide)
+    size = camera.width, camera.height
+    return rasterizer.rasterization(*shape, channels, *cameras, *size, backend="reference")[0][0]
 
 
 def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
