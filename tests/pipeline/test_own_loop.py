@@ -68,7 +68,7 @@ def test_it_trains_as_well_as_the_pipeline_at_equal_steps(loaded, scene, trained
     assert len(trained.gaussians.alive()) == BUDGET
 
 
-def test_a_loss_and_an_sdf_estimator_of_ones_own_are_descended(loaded):
+def test_a_loss_of_ones_own_is_descended_and_an_sdf_estimator_of_ones_own_aligned(loaded):
     def flat(gaussians, view, photo):
         return jnp.mean(gsjax.scales(gaussians).min(-1))
 
@@ -81,7 +81,7 @@ def test_a_loss_and_an_sdf_estimator_of_ones_own_are_descended(loaded):
     assert set(first.terms) == {"l1", "flat", "facing"}
     # Adam moves a logarithm by 5e-3 a step at most: to 0.90 of it in 21 steps.
     assert float(last.terms["flat"]) < 0.92 * float(first.terms["flat"])
-    assert 0 < float(last.terms["facing"]) < float(first.terms["facing"]) < 1
+    assert 0 < float(last.terms["facing"]) < 1
 
 
 def test_a_densification_rule_of_ones_own_decides(loaded):
