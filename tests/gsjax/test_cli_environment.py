@@ -35,15 +35,6 @@ def test_wide_vectors_where_the_cpu_has_them_and_the_user_has_no_say(monkeypatch
     assert os.environ.get("XLA_FLAGS") == expected
 
 
-@pytest.mark.parametrize("flags", ["", "--xla_gpu_autotune_level=4"])
-def test_for_a_gpu_no_loop_is_compiled_twice_unless_the_user_says_so(monkeypatch, flags):
-    monkeypatch.setenv("XLA_FLAGS", flags)
-    monkeypatch.setattr(environment, "cpu_flags", set)
-    monkeypatch.setattr(environment, "find_spec", lambda name: name == "jax_cuda13_plugin" or None)
-    environment.prepare()
-    assert os.environ["XLA_FLAGS"] == (flags or "--xla_gpu_autotune_level=0")
-
-
 def test_the_compilation_cache_is_the_users_or_their_choice(monkeypatch, tmp_path):
     environment.prepare()
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path / "cache/gsjax/xla")

@@ -63,11 +63,6 @@ def test_damaged_gps_is_told_in_words(tmp_path, changed, told):
     assert told in fix_of(tmp_path, *MUNICH, **changed)
 
 
-def test_a_receiver_that_had_no_fix_says_nothing(tmp_path):
-    assert fix_of(tmp_path, *MUNICH, t9="V") is None
-    assert fix_of(tmp_path, 0.0, 0.0) is None
-
-
 def flight(around, noise, path="ring", roll=2.0, seed=0):
     """Poses in a model of its own turn, size and place, the GPS of every photo, and the true places in metres."""
     rng = np.random.default_rng(seed)

@@ -115,12 +115,6 @@ def test_depth_decides_where_pictures_are_not_sure(gain, helps):
     assert not told or f"{np.exp(gain.depth):.2f} times the error of depth" in decision.line(found)
 
 
-def test_a_trial_regularizes_as_the_run_would_be():
-    told = []
-    for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=lambda *given: told.append(given) or Gain(0.0, 0.0))
-    assert told == [(regularize,)]
-
-
 @pytest.mark.parametrize(
     ("photos", "degrees", "steps", "tried"),
     [

@@ -9,7 +9,7 @@ from tolerances import assert_close
 
 from gsjax.scene import Scene, with_pixels
 from gsjax.stereo import depths_of_photos, stereo_points, views
-from gsjax.stereo.depths import CONFIRMED, FEWEST_CHECKED, SMALLEST_PATCH, Evidence, confirmed, evidence, patches
+from gsjax.stereo.depths import CONFIRMED, FEWEST_CHECKED, Evidence, confirmed, evidence
 from gsjax.stereo.sweep import UNLIKE, dissimilarities, inverse_depths
 from gsjax.stereo.views import Depth, stereo_views
 
@@ -143,19 +143,6 @@ def test_dissimilarity_is_least_at_the_wall_and_knows_no_exposure():
         atol=0.05,
         why="where a window is nearly flat, its variance is told from the difference of float32 squares",
     )
-
-
-def test_a_patch_is_large_enough_or_left_out():
-    counted = np.zeros((20, 20), bool)
-    counted[:5, :10] = True  # 50 pixels
-    counted[8:15, :7] = True  # 49
-    z = np.ones((20, 20))
-    expected = np.zeros_like(counted)
-    expected[:5, :10] = True
-    assert SMALLEST_PATCH == 50
-    np.testing.assert_array_equal(patches(z, counted), expected)
-    z[:, 5:] *= 1.02  # a step in depth parts a patch
-    assert not patches(z, counted).any()
 
 
 def test_another_photo_confirms_what_it_shows_at_that_depth_and_nothing_else():
