@@ -111,12 +111,15 @@ def upper_bands(
 
 def _basis_at(degree: int, dirs: Array) -> Array:
     """`[..., (degree + 1)^2]` basis functions at directions of any length."""
+    # By coordinate: on a CPU sums and stacks along a short last axis are slow, and their transposes slower.
+    x, y, z = jnp.moveaxis(dirs, -1, 0)
     # Divided by the largest entry first: the squares of a very long or short direction would overflow or vanish.
-    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(dirs), axis=-1, keepdims=True))
+    largest = jax.lax.stop_gradient(jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z)))
     is_zero = largest < jnp.finfo(dirs.dtype).tiny
-    dirs = jnp.where(is_zero, jnp.array([0, 0, 1], dirs.dtype), dirs / jnp.where(is_zero, 1, largest))
-    unit = dirs * jax.lax.rsqrt(jnp.sum(dirs * dirs, axis=-1, keepdims=True))
-    return jnp.stack(_basis(degree, unit[..., 0], unit[..., 1], unit[..., 2]), axis=-1)
+    safe = jnp.where(is_zero, 1, largest)
+    x, y, z = (jnp.where(is_zero, default, each / safe) for each, default in ((x, 0), (y, 0), (z, 1)))
+    inverse = jax.lax.rsqrt(x * x + y * y + z * z)
+    return jnp.moveaxis(jnp.stack(_basis(degree, x * inverse, y * inverse, z * inverse)), 0, -1)
 
 
 def _sum_of_bands(basis: Array, coeffs: Array) -> Array:
