@@ -174,7 +174,8 @@ def test_a_signal_while_jax_is_imported_ends_the_process(tmp_path, number, told)
     """An exception there aborts the process, with a traceback of 150 lines."""
     (tmp_path / "jax").mkdir()
     (tmp_path / "jax" / "__init__.py").write_text(COMPILED_MODULE)
-    program = "from gsjax.cli import run_guarded; raise SystemExit(run_guarded(lambda: __import__('jax') and 0))"
+    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # A shell's "&" ignores it.
+    program += "from gsjax.cli import run_guarded; raise SystemExit(run_guarded(lambda: __import__('jax') and 0))"
     own = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, env=own, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
