@@ -93,7 +93,7 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
         "blending": (blended, blendable),
         "blending, with gradients": (jax.grad(blended), blendable),
         "L1 and D-SSIM, with gradients": (jax.grad(loss), (0.9 * batch.image,)),
-        "Adam": (
+        "Adam, on copies of its arguments": (
             partial(optimizers.apply_gradients, optimizer),
             (gaussians, optimizer.init(gaussians), gaussians, jnp.bool_(False)),
         ),
