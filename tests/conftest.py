@@ -196,12 +196,6 @@ def _room_for_programs():
     gc.freeze()
 
 
-@pytest.fixture(scope="module")
-def empty_caches():
-    """Before programs are counted: jax takes no new ones into its cache once it holds 8,192, as after other files."""
-    jax.clear_caches()
-
-
 @pytest.fixture
 def x64():
     """Float64 for the length of one test."""
