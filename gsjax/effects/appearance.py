@@ -62,14 +62,14 @@ def start(seen: Observations, chosen: Collection[str], skies: Masks = MappingPro
     log_gains, slope = np.zeros((len(frames), 3)), 0.0
     data = table(np.log(seen.colors), seen.photo, seen.point, len(frames))
     if len(data.photo):
-        found = fit(data)
+        solution = fit(data)
         if "vignetting" in chosen:
             tangents2 = seen.tangents2
-            slope = min(vignetting.slope_on(tangents2, data, found)[0], 0.0)
-            found = fit(data._replace(values=data.values - slope * tangents2[data.rows][:, None]))
-        known = np.bincount(data.photo, minlength=len(frames)) > 0
-        if (known & trained).any():
-            log_gains = np.where(known[:, None], found.gains - found.gains[known & trained].mean(0), 0.0)
+            slope = min(vignetting.slope_on(tangents2, data, solution)[0], 0.0)
+            solution = fit(data._replace(values=data.values - slope * tangents2[data.rows][:, None]))
+        has_gain = np.bincount(data.photo, minlength=len(frames)) > 0
+        if (has_gain & trained).any():
+            log_gains = np.where(has_gain[:, None], solution.gains - solution.gains[has_gain & trained].mean(0), 0.0)
     cameras = [(frame.width, frame.height, frame.K.tobytes()) for frame in frames]
     distinct = list(dict.fromkeys(cameras))
     falloff = np.tile(np.array([slope, 0.0]), (len(distinct), 1))
@@ -144,15 +144,15 @@ def as_near_photos(frames: Sequence[Frame], looks: Mapping[str, Appearance]) -> 
     spread = float(np.linalg.norm(places[:, :3] - places[:, :3].mean(0), axis=1).mean()) or 1.0
     scale = np.array([spread] * 3 + [1.0] * 3)
     gains = np.array([looks[name].log_gains for name in trained])
-    found = {}
+    of_photos = {}
     for frame in frames:
         if frame.held_out:
             apart2 = np.square((places - stood[frame.name]) / scale).sum(-1)
             nearest = np.argsort(apart2)[:NEAR_PHOTOS]
             weights = 1 / (apart2[nearest] + SAME_PLACE)
             mean = weights @ gains[nearest] / weights.sum()
-            found[frame.name] = looks[frame.name]._replace(log_gains=tuple(mean.tolist()))
-    return found
+            of_photos[frame.name] = looks[frame.name]._replace(log_gains=tuple(mean.tolist()))
+    return of_photos
 
 
 def _stands(frame: Frame) -> np.ndarray:
@@ -165,8 +165,8 @@ def moves(begun: Start, state: EffectState) -> dict[str, poses.Move]:
     """Of every photo's camera, by name, after training; empty where they stayed."""
     if "poses" not in state.numbers:
         return {}
-    found = poses.moves(state.numbers["poses"], begun.centers, begun.distance, begun.trained, begun.camera)
-    return dict(zip(begun.names, found, strict=True))
+    matrices = poses.moves(state.numbers["poses"], begun.centers, begun.distance, begun.trained, begun.camera)
+    return dict(zip(begun.names, matrices, strict=True))
 
 
 def fit_colors(colors: np.ndarray, image: np.ndarray, valid: np.ndarray) -> np.ndarray:

@@ -62,8 +62,8 @@ def judge(findings: "Findings") -> Evidence:
     if gains is None:
         why = "no point is seen in three photos" if observations.tracked else "no tracks beside these photos"
         return unknown("EV", THRESHOLD, why)
-    known = np.bincount(gains.data.photo, minlength=len(observations.frames)) > 0
-    values = gains.fit.gains[known]
+    has_gain = np.bincount(gains.data.photo, minlength=len(observations.frames)) > 0
+    values = gains.fit.gains[has_gain]
     spread = float(values.mean(1).std())
     balance = float(max((values[:, channel] - values[:, 1]).std() for channel in (0, 2)))
     exposure_agrees, balance_agrees = gains.agreement

@@ -63,15 +63,15 @@ class EffectRuns:
         The run has the photometric loss alone and no densification.
         """
         program = self._with_sky if "sky" in names else self._without_sky
-        begun = start(self.observations, names, program.skies)
-        on = simulations(begun, names, _rate)
+        start_values = start(self.observations, names, program.skies)
+        on = simulations(start_values, names, _rate)
         state = self.initial(self.settings, program.variant.optimizer, program.effects, program.skies)
         if state.effects is not None:
             numbers = {name: self._numbers(name, each, on) for name, each in program.effects.items()}
             state = replace(state, effects=replace(state.effects, numbers=numbers))
         shown = [_without_pixels(frame, blocks) for frame, blocks in zip(self.frames, self.held_out, strict=True)]
         state = program.variant.train(shown, state, observe)
-        return self._pictures(state, begun, names)
+        return self._pictures(state, start_values, names)
 
     def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> Validated:
         """The gain of an effect on the held-out pixels, from the pictures of both variants."""
@@ -117,12 +117,12 @@ class EffectRuns:
     def _color(self) -> np.ndarray:
         return BACKGROUND_COLORS[self.settings.model.background]
 
-    def _pictures(self, state: TrainState, begun: Start, names: Sequence[str]) -> list[np.ndarray]:
+    def _pictures(self, state: TrainState, start_values: Start, names: Sequence[str]) -> list[np.ndarray]:
         looks, moved, behind = {}, {}, self._color
         if state.effects is not None:
             numbers = {name: value for name, (_, value) in state.effects.numbers.items() if name in names}
             on = EffectState(numbers, {})
-            looks, moved = appearances(begun, on), moves(begun, on)
+            looks, moved = appearances(start_values, on), moves(start_values, on)
             behind = np.asarray(numbers.get("background", behind))
         given = [moved[frame.name].apply(frame) if frame.name in moved else frame for frame in self.frames]
         small = [_reduced(frame, self._scale) for frame in given]

@@ -62,15 +62,15 @@ def look_for_effects(asked: str, scene: Scene) -> Looked:
     """
     if asked == NONE:
         return Looked(scene)
-    found = diagnose_scene(scene)
+    findings = diagnose_scene(scene)
     is_asked = asked == AUTO or "blur" in named_effects(asked)
-    names = blur.photos_to_leave_out(found.observations) if is_asked else ()
+    names = blur.photos_to_leave_out(findings.observations) if is_asked else ()
     if not names:
-        return Looked(scene, found)
+        return Looked(scene, findings)
     print(f"train: too blurred, left out: {', '.join(names)}", file=sys.stderr)
     sharp = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in names))
     again = diagnose_scene(sharp)
-    return Looked(sharp, replace(again, effects=again.effects | {"blur": found.effects["blur"]}), names)
+    return Looked(sharp, replace(again, effects=again.effects | {"blur": findings.effects["blur"]}), names)
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def choose_effects(
         scene: Its data set, at the size that is trained on.
         validate: Validates, of "auto", what the evidence proposes. None, or a run too short for it: exposure and poses
             alone are simulated, on strong evidence.
-        looked: What `look_for_effects` found, if it was asked.
+        looked: What `look_for_effects` findings, if it was asked.
         skies: Where photos show sky, if masks of it were given; with it a background is taken in.
         with_sky: Whether a sky must be there, whatever `asked` names.
         before: The manifest's record of what was decided when this run began; nothing is validated again.
@@ -140,22 +140,24 @@ def choose_effects(
     if asked == NONE and skies is None and not with_sky:
         return ChosenEffects()
     looked = looked or look_for_effects(asked, scene)
-    scene, found = looked.scene, looked.diagnosis or diagnose_scene(looked.scene)
+    scene, findings = looked.scene, looked.diagnosis or diagnose_scene(looked.scene)
     if skies is not None:
-        found = _with_given(found, skies)
+        findings = _with_given(findings, skies)
     is_auto, with_sky = asked == AUTO, with_sky or "sky" in named_effects(asked)
     wanted, validated = set(named_effects(asked)) - {"sky"}, {}
-    is_on = wanted if not is_auto else {name for name in PROPOSED if found.effects[name].on}
-    if _is_laid(found, plan, is_on & {*SIMULATED}):
-        found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], plan)})
+    is_on = wanted if not is_auto else {name for name in PROPOSED if findings.effects[name].on}
+    if _is_laid(findings, plan, is_on & {*SIMULATED}):
+        findings = replace(
+            findings, effects=findings.effects | {"background": _laid(findings.effects["background"], plan)}
+        )
     if is_auto:
         named = {"sky"} if with_sky or skies is not None else set()
-        proposed = [name for name in PROPOSED if found.effects[name].on and name not in named]
-        wanted, validated = _decided(found, proposed, validate, before)
-        found = replace(found, effects=found.effects | _noted(found, proposed, wanted, validated))
-    known = found.plain if with_sky and skies is None else found.sky
-    skies = known if with_sky or skies is not None or "sky" in wanted else {}
-    if skies and not _is_laid(found, plan, wanted - {"background", "sky"}):
+        proposed = [name for name in PROPOSED if findings.effects[name].on and name not in named]
+        wanted, validated = _decided(findings, proposed, validate, before)
+        findings = replace(findings, effects=findings.effects | _noted(findings, proposed, wanted, validated))
+    skies_in_photos = findings.plain if with_sky and skies is None else findings.sky
+    skies = skies_in_photos if with_sky or skies is not None or "sky" in wanted else {}
+    if skies and not _is_laid(findings, plan, wanted - {"background", "sky"}):
         wanted.add("background")
     chosen = [name for name in SIMULATED if name in wanted]
     if skies:
@@ -163,22 +165,22 @@ def choose_effects(
     elif with_sky:
         raise InputError(f"--sky: the photos of {scene.root} show no sky; --sky DIR takes masks of it")
     simulated = [*chosen, *(["sky"] if skies else [])]
-    print(f"train: {_line(found, simulated, validated)}", file=sys.stderr)
+    print(f"train: {_line(findings, simulated, validated)}", file=sys.stderr)
     evidence = {
         "simulated": simulated,
         "left_out": list(looked.left_out),
-        "evidence": found.record()["effects"],
+        "evidence": findings.record()["effects"],
         "validated": {name: each._asdict() for name, each in validated.items()},
     }
     if not chosen:
         return ChosenEffects(skies=skies, evidence=evidence)
-    if "background" in chosen and any(facts.has_matte for facts in found.observations.facts):
+    if "background" in chosen and any(facts.has_matte for facts in findings.observations.facts):
         raise InputError(
             f"--effects {asked}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
             " leave background out"
         )
-    begun = start(found.observations, chosen, skies)
-    return ChosenEffects(simulations(begun, chosen, _rate(plan)), begun, evidence, skies)
+    start_values = start(findings.observations, chosen, skies)
+    return ChosenEffects(simulations(start_values, chosen, _rate(plan)), start_values, evidence, skies)
 
 
 def _rate(plan: Plan) -> Callable[..., optax.Schedule]:
@@ -189,15 +191,15 @@ def _rate(plan: Plan) -> Callable[..., optax.Schedule]:
 
 
 def _decided(
-    found: Diagnosis, proposed: Sequence[str], validate: Validate | None, before: Mapping[str, Any] | None
+    findings: Diagnosis, proposed: Sequence[str], validate: Validate | None, before: Mapping[str, Any] | None
 ) -> tuple[set[str], dict[str, Validated]]:
     """The proposed effects that are simulated, and the gain of each that was validated."""
     if before is not None:
         stored = before.get("validated", {})
         return {*before["simulated"]}, {name: Validated(**each) for name, each in stored.items()}
-    validated = validate(found.observations, proposed, found.sky) if validate and proposed else {}
+    validated = validate(findings.observations, proposed, findings.sky) if validate and proposed else {}
     if not validated:
-        return {name for name in proposed if name in UNVALIDATED and _is_strong(found.effects[name])}, {}
+        return {name for name in proposed if name in UNVALIDATED and _is_strong(findings.effects[name])}, {}
     passed = [name for name, each in validated.items() if each.passes]
     return {part for name in passed for part in PARTS.get(name, (name,))}, validated
 
@@ -207,7 +209,7 @@ def _is_strong(evidence: Evidence) -> bool:
 
 
 def _noted(
-    found: Diagnosis, proposed: Sequence[str], wanted: Collection[str], validated: Mapping[str, Validated]
+    findings: Diagnosis, proposed: Sequence[str], wanted: Collection[str], validated: Mapping[str, Validated]
 ) -> dict[str, Evidence]:
     """The evidence of the proposed effects, with the validated gain and the decision in its note."""
     notes = {}
@@ -216,11 +218,11 @@ def _noted(
         why = "not validated, the run is too short"
         why = f"gains {validated[name]} in a validation run (needs {WORTH:g})" if name in validated else why
         why = "part of the sky" if name == "background" and "sky" in wanted else why
-        notes[name] = found.effects[name]._replace(note=f"{decision}: {why}; {found.effects[name].note}")
+        notes[name] = findings.effects[name]._replace(note=f"{decision}: {why}; {findings.effects[name].note}")
     return notes
 
 
-def _line(found: Diagnosis, simulated: Sequence[str], validated: Mapping[str, Validated]) -> str:
+def _line(findings: Diagnosis, simulated: Sequence[str], validated: Mapping[str, Validated]) -> str:
     """Which effects are simulated and which of the proposed ones are not, each with its validated gain."""
 
     def text_of(name: str) -> str:
@@ -229,25 +231,25 @@ def _line(found: Diagnosis, simulated: Sequence[str], validated: Mapping[str, Va
     rejected = [
         text_of(name)
         for name in PROPOSED
-        if name not in simulated and (name in validated or found.effects[name].note.startswith("not simulated"))
+        if name not in simulated and (name in validated or findings.effects[name].note.startswith("not simulated"))
     ]
     line = f"effects: {', '.join(map(text_of, simulated)) or 'none that the photos show'}"
     return f"{line}; not simulated: {', '.join(rejected)}" if rejected else line
 
 
-def _with_given(found: Diagnosis, skies: sky.Masks) -> Diagnosis:
+def _with_given(findings: Diagnosis, skies: sky.Masks) -> Diagnosis:
     """The diagnosis with a sky that was given instead of what the photos show."""
-    evidence = sky.judge_masks(found.observations, skies)
-    given = evidence._replace(on=True, note=f"given by --sky: {sky.summary(skies, found.observations.frames)}")
-    return replace(found, sky=skies, effects=found.effects | {"sky": given})
+    evidence = sky.judge_masks(findings.observations, skies)
+    given = evidence._replace(on=True, note=f"given by --sky: {sky.summary(skies, findings.observations.frames)}")
+    return replace(findings, sky=skies, effects=findings.effects | {"sky": given})
 
 
-def _is_laid(found: Diagnosis, plan: Plan, light: Collection[str]) -> bool:
+def _is_laid(findings: Diagnosis, plan: Plan, light: Collection[str]) -> bool:
     """Whether what looks like sky is the colour that the run lays under its renders, seen through effects on light."""
     if plan.background not in _PLAIN:
         return False
-    reached = light_range(start(found.observations, light), found.observations.frames, light)
-    return background.is_one(found.observations, _PLAIN[plan.background], *reached)
+    reached = light_range(start(findings.observations, light), findings.observations.frames, light)
+    return background.is_one(findings.observations, _PLAIN[plan.background], *reached)
 
 
 def _laid(evidence: Evidence, plan: Plan) -> Evidence:
@@ -262,8 +264,8 @@ def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
-    begun = start(observe(scene), ("exposure",))
+    start_values = start(observe(scene), ("exposure",))
     return {
         name: Appearance(tuple(gains.tolist()), (0.0, 0.0))
-        for name, gains in zip(begun.names, begun.log_gains, strict=True)
+        for name, gains in zip(start_values.names, start_values.log_gains, strict=True)
     }

@@ -47,25 +47,25 @@ def places(*groups):
 
 @places(ROOMS)
 def test_a_plain_ceiling_or_wall_is_no_sky_and_no_backdrop(name):
-    found = diagnose(photographed(name)[0])
-    assert not found.effects["sky"].on and not found.effects["background"].on
-    assert not found.sky
+    diagnosis = diagnose(photographed(name)[0])
+    assert not diagnosis.effects["sky"].on and not diagnosis.effects["background"].on
+    assert not diagnosis.sky
 
 
 @places(SKIES)
 def test_a_sky_whose_light_depends_on_the_direction_is_found(name):
     scene, truth = photographed(name)
-    found = diagnose(scene)
-    assert found.effects["sky"].on == (name != "a yard, glow of a town at night"), "too dark to compare: a miss"
+    diagnosis = diagnose(scene)
+    assert diagnosis.effects["sky"].on == (name != "a yard, glow of a town at night"), "too dark to compare: a miss"
     for frame, is_sky in zip(scene.frames, truth, strict=True):
-        if frame.name in found.sky:
-            assert (found.sky[frame.name] & ~is_sky).sum() < 0.01 * is_sky.size
+        if frame.name in diagnosis.sky:
+            assert (diagnosis.sky[frame.name] & ~is_sky).sum() < 0.01 * is_sky.size
 
 
 @places(DOUBTFUL, GLASS)
 def test_where_nothing_tells_a_sky_from_plaster_no_surface_is_taken_away(name):
-    found = diagnose(photographed(name)[0])
-    assert not found.effects["sky"].on and not found.sky
+    diagnosis = diagnose(photographed(name)[0])
+    assert not diagnosis.effects["sky"].on and not diagnosis.sky
 
 
 def test_who_names_the_sky_gets_what_looks_like_one_though_evidence_is_missing():
@@ -89,9 +89,9 @@ def test_a_fall_off_of_the_lens_on_a_flat_ceiling_is_no_sky():
 
 
 def test_the_ceiling_of_a_box_is_met_where_its_height_says():
-    seen = observe(photographed("white ceiling under a lamp")[0])
-    (ceiling_alone,) = parallax._boxes(seen, np.array([0.0, 0, 1]), (), (0.0,))
+    observations = observe(photographed("white ceiling under a lamp")[0])
+    (ceiling_alone,) = parallax._boxes(observations, np.array([0.0, 0, 1]), (), (0.0,))
     eye, rays = np.array([0.3, -0.2, 1.0]), np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8]])
-    top = np.quantile(seen.points[:, 2], 0.98)
+    top = np.quantile(observations.points[:, 2], 0.98)
     heights = ceiling_alone(eye, rays) * rays[:, 2] + eye[2]
     assert_close(heights, np.full(2, top), rtol=0.04, atol=0, why="a margin of the box")
