@@ -71,7 +71,7 @@ def read_truth(room: str | Path) -> Truth:
         InputError: A file is missing or damaged.
     """
     from gsjax.io import json_files
-    from gsjax.meshing import read_mesh
+    from gsjax.meshing.export import read_mesh
 
     poses = json_files.read(Path(room) / "poses.json", {"poses": {str: [[float, 4], 4]}})["poses"]
     mesh = read_mesh(Path(room) / "truth_mesh.ply")
@@ -186,8 +186,7 @@ def run(given: Sequence[str], room: str, place: str | None = None) -> dict[str, 
     Raises:
         InputError: The truth or a mesh cannot be read or aligned.
     """
-    from gsjax.meshing import read_mesh
-    from gsjax.meshing.export import write_mesh
+    from gsjax.meshing.export import read_mesh, write_mesh
     from gsjax.metrics.geometry import sample_surface
 
     truth = read_truth(room)

@@ -18,7 +18,7 @@ from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.mixed_gaussians import MixedGaussians, all_gaussians
 from gsjax.binding.refinement import Refinement
 from gsjax.io.ply import write_gaussians
-from gsjax.meshing import write_mesh
+from gsjax.meshing.export import write_mesh
 from gsjax.presets import PRESETS
 from gsjax.scene.meshes import Mesh
 from gsjax.settings import Settings

@@ -7,7 +7,7 @@ import numpy as np
 from gsjax.gaussians import Gaussians
 from gsjax.io.normal_maps import map_places
 from gsjax.io.ply import read_gaussians
-from gsjax.meshing import read_mesh, read_textured
+from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors
 from gsjax.rendering import gallery
 from gsjax.report.figures import draw_panels

@@ -1,21 +1,27 @@
-"""The table of mesh methods. One entry registers a method for `gsjax mesh`, its help, the pipeline and `auto`."""
+"""The table of mesh methods. One entry registers a method for `gsjax mesh`, its help, the pipeline and `auto`.
+
+A method's module is loaded where the method is made: help is printed without jax.
+"""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.machine import require_memory
-from gsjax.meshing.consistent_depth import NormalsOfDepth, consistent_poisson
-from gsjax.meshing.level_set import LevelSetOptions, level_set_poisson
-from gsjax.meshing.mesh_method import Method, method_name
-from gsjax.meshing.poisson import PoissonOptions, at_quantile
-from gsjax.meshing.tsdf import tsdf
-from gsjax.rendering.coarse_depths import CoarseDepth
 from gsjax.scene.similarity import Similarity
+
+if TYPE_CHECKING:
+    from gsjax.meshing.consistent_depth import NormalsOfDepth
+    from gsjax.meshing.level_set import LevelSetOptions
+    from gsjax.meshing.mesh_method import Method
+    from gsjax.meshing.poisson import PoissonOptions
+    from gsjax.rendering.coarse_depths import CoarseDepth
 
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
@@ -57,22 +63,26 @@ class MethodOptions:
     @property
     def sampling(self) -> LevelSetOptions:
         """The options of the level set's sampling."""
+        from gsjax.meshing.level_set import LevelSetOptions
+
         full = LevelSetOptions(level=LEVEL if self.level is None else self.level)
         return full if self.points is None else replace(full, num_points=self.points)
 
     @property
     def reconstruction(self) -> PoissonOptions:
         """The options of the Poisson reconstruction."""
+        from gsjax.meshing.poisson import PoissonOptions, at_quantile
+
         trim = None if self.trim_quantile is None else at_quantile(self.trim_quantile)
         return PoissonOptions(self.depth, trim)
 
     @property
-    def of_a_trial(self) -> "MethodOptions":
+    def of_a_trial(self) -> MethodOptions:
         """The same with a tenth of the points, but no fewer than `FEWEST_TRIED` where there are as many."""
         points = self.sampling.num_points
         return replace(self, points=max(points // 10, min(points, FEWEST_TRIED)))
 
-    def to_local(self, similarity: Similarity, extent: np.ndarray) -> "MethodOptions":
+    def to_local(self, similarity: Similarity, extent: np.ndarray) -> MethodOptions:
         """Return the options with lengths in local coordinates.
 
         Args:
@@ -123,31 +133,49 @@ class MeshMethod:
     closes_holes: bool = False  # whether `gsjax.meshing.holes` always follows
 
 
+def _poisson(options: MethodOptions, *_: object) -> Method:
+    from gsjax.meshing.level_set import level_set_poisson
+
+    return level_set_poisson(options.sampling, options.reconstruction)
+
+
+def _agreed(options: MethodOptions, depths: DepthEvidence, ids: Sequence[int]) -> Method:
+    from gsjax.meshing.consistent_depth import consistent_poisson
+
+    return consistent_poisson(
+        depths.normals_of,
+        options.sampling.num_points,
+        options.reconstruction,
+        rendered=depths.rendered,
+        stereo=depths.stereo,
+        ids=ids,
+    )
+
+
+def _tsdf(options: MethodOptions, *_: object) -> Method:
+    from gsjax.meshing.tsdf import tsdf
+
+    return tsdf(voxel=options.cell)
+
+
 OF_POISSON = frozenset({"points", "depth", "trim_quantile"})
 METHODS: dict[str, MeshMethod] = {
     "poisson": MeshMethod(
         "Poisson through points of the density's level set",
-        lambda options, *_: level_set_poisson(options.sampling, options.reconstruction),
+        _poisson,
         options=OF_POISSON | {"level"},
         needs=frozenset({"owners"}),
     ),
     "agreed": MeshMethod(
         "Poisson through depth that is consistent between views, of the photos or rendered",
-        lambda options, depths, ids: consistent_poisson(
-            depths.normals_of,
-            options.sampling.num_points,
-            options.reconstruction,
-            rendered=depths.rendered,
-            stereo=depths.stereo,
-            ids=ids,
-        ),
+        _agreed,
         options=OF_POISSON,
         needs=frozenset({"photos"}),
         closes_holes=True,
     ),
     "tsdf": MeshMethod(
         "fusion of the rendered depth, open where no view shows a surface",
-        lambda options, *_: tsdf(voxel=options.cell),
+        _tsdf,
         options=frozenset({"cell"}),
     ),
 }
@@ -160,6 +188,8 @@ def methods_of(method: str | Method, options: MethodOptions) -> dict[str, MeshMe
     Raises:
         InputError: There is no such method, or it does not read an option that is given.
     """
+    from gsjax.meshing.mesh_method import method_name
+
     if callable(method):
         chosen = {method_name(method): MeshMethod("handed in", lambda *_: method, needs=frozenset({"owners"}))}
     elif method == AUTO:

@@ -67,7 +67,7 @@ def mesh(
     Args:
         source: Run folder or .ply.
         out: Mesh file; .ply, .obj or .glb.
-        method: A name in `gsjax.meshing.methods.METHODS`; or a function, as `gsjax.meshing.extract_mesh` takes it. Its
+        method: A name in `gsjax.meshing.methods.METHODS`; or a function, as `gsjax.extract_mesh` takes it. Its
             pictures have owners. "auto": the method whose mesh agrees most with the tracks of structure from motion
             (`gsjax.meshing.track_visibility`), or without tracks with the photos' mattes (`gsjax.meshing.silhouettes`);
             "poisson" where there is neither, and of a run with an entropy phase, which is made for the level set.

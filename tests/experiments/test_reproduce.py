@@ -14,7 +14,7 @@ from small_scenes import built_in
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import image_size
-from gsjax.meshing import read_mesh, read_textured
+from gsjax.meshing.export import read_mesh, read_textured
 
 PATIENCE = 900  # seconds, on a machine with much else to do
 SETTINGS = (

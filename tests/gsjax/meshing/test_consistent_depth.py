@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gsjax.meshing import extract_mesh
 from gsjax.meshing.consistent_depth import AGREEING, SAME_SURFACE, SHARE, consistent_pictures, consistent_poisson
+from gsjax.meshing.extract import extract_mesh
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.rendering.coarse_depths import CoarseDepth, coarse_depth
 from gsjax.rendering.gallery import Picture

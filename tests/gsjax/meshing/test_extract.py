@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshing import depth_of_mesh, extract_mesh, regions
-from gsjax.meshing.extract import cut_to_region
+from gsjax.meshing import regions
+from gsjax.meshing.extract import cut_to_region, extract_mesh
 from gsjax.meshing.level_set import LevelSetOptions, level_set_poisson
+from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.regions import Box, Region
 from gsjax.rendering import gallery

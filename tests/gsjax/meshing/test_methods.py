@@ -7,9 +7,9 @@ import pytest
 from small_scenes import camera_at, cloud
 
 from gsjax.errors import InputError
-from gsjax.meshing import extract_mesh, regions
+from gsjax.meshing import regions
 from gsjax.meshing.consistent_depth import LEAST_FACING, depth_poisson
-from gsjax.meshing.extract import facing_share, orient_outward
+from gsjax.meshing.extract import extract_mesh, facing_share, orient_outward
 from gsjax.meshing.methods import METHODS, MeshMethod, MethodOptions, methods_help, methods_of
 from gsjax.meshing.regions import Box, Region
 from gsjax.meshing.tsdf import tsdf

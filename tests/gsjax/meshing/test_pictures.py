@@ -3,10 +3,17 @@ import numpy as np
 import pytest
 from meshes import ball, mesh_of
 
-from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.cleaning import concatenate_meshes
-from gsjax.meshing.pictures import smooth_pictures, texture_colors
+from gsjax.meshing.pictures import (
+    depth_of_mesh,
+    headlight,
+    normal_colors,
+    render_mesh,
+    smooth_pictures,
+    texture_colors,
+    vertex_colors,
+)
 from gsjax.meshing.ray_queries import front_faces_only, ray_caster
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh

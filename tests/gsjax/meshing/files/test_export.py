@@ -10,9 +10,9 @@ from glb_chunks import glb_chunks, glb_of
 from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.meshing import export, read_mesh, write_mesh
+from gsjax.meshing import export
 from gsjax.meshing.atlas import Atlas, TexturedMesh
-from gsjax.meshing.export import read_textured, write_textured
+from gsjax.meshing.export import read_mesh, read_textured, write_mesh, write_textured
 from gsjax.scene.meshes import Mesh
 
 

@@ -5,9 +5,8 @@ import pytest
 from fuzzing import fuzz_files
 
 from gsjax.errors import InputError
-from gsjax.meshing import read_mesh, write_mesh
 from gsjax.meshing.atlas import Atlas, TexturedMesh
-from gsjax.meshing.export import glb_bytes, read_textured, write_textured
+from gsjax.meshing.export import glb_bytes, read_mesh, read_textured, write_mesh, write_textured
 from gsjax.scene.meshes import Mesh
 
 ASCII = """ply

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from glb_chunks import glb_chunks, glb_of
 
-from gsjax.meshing import read_mesh, write_mesh
+from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.files import glb
 from gsjax.scene.meshes import Mesh
 

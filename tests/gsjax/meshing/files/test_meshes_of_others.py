@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshing import read_mesh, write_mesh
+from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.files import glb
 from gsjax.scene.colors import srgb_to_linear
 from gsjax.scene.meshes import Mesh

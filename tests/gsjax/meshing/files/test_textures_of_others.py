@@ -9,8 +9,8 @@ from glb_chunks import glb_of
 from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.meshing import pictures, read_mesh, read_textured
-from gsjax.meshing.export import glb_bytes
+from gsjax.meshing import pictures
+from gsjax.meshing.export import glb_bytes, read_mesh, read_textured
 
 RED, BLUE, GREEN, WHITE = (255, 0, 0), (0, 0, 255), (0, 255, 0), (255, 255, 255)
 TEXTURE = np.repeat(np.repeat(np.array([[RED, BLUE], [GREEN, WHITE]], np.uint8), 8, axis=0), 8, axis=1)
