@@ -226,7 +226,8 @@ class Supervision:
     normal_gate: bool = False  # normals that photos of the same place contradict weigh less (`normals.consistency`)
     depth: str | None = None  # folder of measured depth, within the data set or anywhere, or "auto": as it lists them
     depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
-    depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
+    stereo: bool = False  # multi-view stereo of the photos gives depth and normals where no maps do, see `gsjax.stereo`
+    depth_weight: float = 0.2  # of the term `measured_depth`, where there is such depth and a phase sets no other
 
     def __post_init__(self):
         """Check types and ranges."""

@@ -1,47 +1,39 @@
-"""Poisson through depth that views agree about: what one view alone shows makes no surface.
+"""Rendered depth where it is consistent with other views and with the photos: what one view alone shows is no surface.
 
 Gaussians fit every photo, also with depth that is wrong: where nothing has texture, and where few photos look, each
 view shows a surface of its own, and all of them together are lumps and shells. Photos compared with each other
 (`gsjax.stereo`) have depth without Gaussians, but not everywhere.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
-from gsjax.meshing.mesh_method import Method, SurfaceSamples, poisson_through
-from gsjax.meshing.poisson import PoissonOptions
+from gsjax.meshing.mesh_method import Method, SurfaceSamples
 from gsjax.rendering.coarse_depths import CoarseDepth, depths_at
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera, viewmat_center
-from gsjax.scene.colors import to_bytes
 
-NormalsOfDepth = Callable[[np.ndarray, np.ndarray, Camera], np.ndarray]
-"""Depth and alphas `[H, W]`, camera -> `[H, W, 3]` unit normals in its frame, towards it; zero where there is none."""
-
-LEAST_FACING = 0.15  # Cosine between normal and ray: what is seen at a flatter angle is an edge, or off by much.
 AGREEING = 2  # Other views, at the least, that show a surface where a view shows it: one may be wrong as well.
 SHARE = 0.7  # Of the views that observe the place, those that show it; the others see through it.
-SAME_SURFACE = 0.005  # Share of the depth up to which two views show one surface.
+SAME_SURFACE = 0.01  # Share of the depth up to which two views show one surface,
+SAME_AS_STEREO = 0.02  # and up to which a view shows what the stereo depth of its photo does.
 FROM_ELSEWHERE = np.cos(np.radians(4.0))  # Cosine between two rays to a point: views nearer together are no evidence.
 MOST_OTHERS = 16  # Views that are compared, those that observe most of what a view shows.
 SAMPLED = 200  # Points of a view by which these are chosen.
 
 
-def consistent_poisson(
-    normals_of: NormalsOfDepth,
-    num_points: int,
-    reconstruction: PoissonOptions | None = None,
+def of_consistent_depth(
+    method: Method,
     *,
     rendered: Sequence[CoarseDepth],
-    stereo: Mapping[int, CoarseDepth],
+    stereo: Mapping[int, np.ndarray],
+    stereo_counts: bool,
     ids: Sequence[int] | None = None,
 ) -> Method:
-    """`depth_poisson` of `consistent_pictures`; the arguments are those of both."""
-    of_depth = depth_poisson(normals_of, num_points, reconstruction)
+    """The method of `consistent_pictures`; the arguments are theirs."""
 
     def from_consistent_depth(
         gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]
@@ -49,13 +41,14 @@ def consistent_poisson(
         shares: list[float] = []
 
         def counted() -> Iterator[Picture]:
-            for picture in consistent_pictures(cameras, pictures, rendered, stereo, ids):
+            options = {"stereo_counts": stereo_counts, "ids": ids}
+            for picture in consistent_pictures(cameras, pictures, rendered, stereo, **options):
                 shares.append(float((picture.depth > 0).mean()))
                 yield picture
 
-        sighting = of_depth(gaussians, cameras, counted())
-        of_stereo = {"photos_that_tell": len(stereo), "agreed_share": float(np.mean(shares))}
-        return sighting._replace(report=sighting.report | of_stereo)
+        samples = method(gaussians, cameras, counted())
+        of_depth = {"photos_that_tell": len(stereo), "agreed_share": float(np.mean(shares))}
+        return samples._replace(report=samples.report | of_depth)
 
     return from_consistent_depth
 
@@ -64,43 +57,42 @@ def consistent_pictures(
     cameras: Sequence[Camera],
     pictures: Iterable[Picture],
     rendered: Sequence[CoarseDepth],
-    stereo: Mapping[int, CoarseDepth],
+    stereo: Mapping[int, np.ndarray],
+    *,
+    stereo_counts: bool,
     ids: Sequence[int] | None = None,
 ) -> Iterator[Picture]:
-    """The same pictures, with depth where views agree about it and nothing elsewhere.
+    """The same pictures, with depth where it is consistent and nothing elsewhere.
 
-    Stereo depth of a photo replaces the rendered one, and the pixel counts as covered. Rendered depth
-    stays where at least `AGREEING` other views, and `SHARE` of those that nothing nearer hides it from, show a surface
-    at the same place, up to `SAME_SURFACE` of the depth.
+    Where a photo has stereo depth, the rendered depth is the same up to `SAME_AS_STEREO`. Elsewhere at least `AGREEING`
+    other views, and `SHARE` of those that nothing nearer hides the place from, show a surface there, up to
+    `SAME_SURFACE` of the depth.
 
     Args:
         cameras: One camera a view.
         pictures: One rendered picture a camera, in order; read one by one.
         rendered: The coarse rendered depth of all views, which confirm each other.
-        stereo: By the view's index in `rendered`, the stereo depth of its photo, of any size; 0 where it has none.
+        stereo: By the view's index in `rendered`, the stereo depth of its photo, `[h, w]` of any size; 0 where it has
+            none.
+        stereo_counts: Whether stereo depth counts where the rendered depth contradicts it, as for Gaussians that were
+            trained without it; else neither counts.
         ids: Of every camera, its index in `rendered`. None: the cameras are those of all views.
     """
-    mixed = [_mixed(view, stereo.get(index)) for index, view in enumerate(rendered)]
-    asked = _others(mixed)
+    asked = _others(rendered)
     ids = range(len(rendered)) if ids is None else ids
     for index, camera, picture in zip(ids, cameras, pictures, strict=True):
         level_set.check_sizes(index, camera, picture)
-        agreed = _agreed(mixed[index], [mixed[other] for other in asked[index]])
-        depth = np.where(_enlarged(agreed, camera), picture.depth, 0).astype(np.float32)
-        covered = np.asarray(picture.alphas)
+        is_shown = _enlarged(_agreed(rendered[index], [rendered[other] for other in asked[index]]), camera)
+        depth, covered = np.asarray(picture.depth), np.asarray(picture.alphas)
         if index in stereo:
-            by_photos = _enlarged(stereo[index].depth, camera)
-            depth = np.where(by_photos > 0, by_photos, depth)
-            covered = np.where(by_photos > 0, np.float32(1), covered)
-        yield picture._replace(depth=depth, alphas=covered)
-
-
-def _mixed(rendered: CoarseDepth, stereo: CoarseDepth | None) -> CoarseDepth:
-    """The coarse view, with stereo depth where its photo has some."""
-    if stereo is None:
-        return rendered
-    by_photo = _enlarged(stereo.depth, rendered.camera)
-    return rendered._replace(depth=np.where(by_photo > 0, by_photo, rendered.depth))
+            by_photo = _enlarged(stereo[index], camera)
+            is_same = np.abs(depth - by_photo) < SAME_AS_STEREO * by_photo
+            is_shown = np.where(by_photo > 0, is_same, is_shown)
+            if stereo_counts:
+                replaced = (by_photo > 0) & ~is_same
+                depth, is_shown = np.where(replaced, by_photo, depth), is_shown | replaced
+                covered = np.where(replaced, np.float32(1), covered)
+        yield picture._replace(depth=np.where(is_shown, depth, 0).astype(np.float32), alphas=covered)
 
 
 def _agreed(view: CoarseDepth, others: Sequence[CoarseDepth]) -> np.ndarray:
@@ -143,59 +135,3 @@ def _enlarged(values: np.ndarray, camera: Camera) -> np.ndarray:
         for size, side in zip((camera.height, camera.width), values.shape, strict=True)
     )
     return values[np.ix_(rows, columns)]
-
-
-def depth_poisson(
-    normals_of: NormalsOfDepth,
-    num_points: int,
-    reconstruction: PoissonOptions | None = None,
-) -> Method:
-    """Poisson through random pixels of the rendered depth, with normals of that depth.
-
-    The level set has the bumps of every Gaussian; composited depth is the mean over several. Where splats of the near
-    and the far mix, at outlines, there is no surface: `normals_of` says so by a zero.
-
-    Args:
-        normals_of: Such as `gsjax.normals.from_depth.smoothed_depth_normals`.
-        num_points: Most points, over all views.
-        reconstruction: Of the Poisson stage. None: its defaults.
-    """
-
-    def from_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
-        rng, wanted = np.random.default_rng(0), num_points // max(len(cameras), 1) + 1
-        views = [
-            _points_of_view(index, camera, picture, normals_of, wanted, rng)
-            for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
-        ]
-        if not sum(len(points) for points, _, _ in views):
-            raise NoSurfaceError(
-                f"no surface to extract: no pixel of {len(views)} views has alpha > {level_set.MIN_ALPHA} and a normal"
-            )
-        points, normals, colors = (np.concatenate(parts) for parts in zip(*views, strict=True))
-        build = poisson_through(gaussians, points, normals, colors, reconstruction)
-        return SurfaceSamples(points, build, {"points": len(points)})
-
-    return from_depth
-
-
-def _points_of_view(
-    index: int,
-    camera: Camera,
-    picture: Picture,
-    normals_of: NormalsOfDepth,
-    count: int,
-    rng: np.random.Generator,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, outward normals and colours of some pixels of one view."""
-    level_set.check_sizes(index, camera, picture)
-    depth, alphas = np.asarray(picture.depth), np.asarray(picture.alphas)
-    covered = level_set.shows_surface(picture)
-    depth = np.where(covered, depth, 0)
-    normals = np.asarray(normals_of(depth, np.where(covered, alphas, 0), camera), np.float64)
-    rows, columns = np.nonzero(covered & np.any(normals != 0, axis=-1))
-    points, directions = level_set.world_points(camera, depth, rows, columns)
-    outward = normals[rows, columns] @ np.asarray(camera.viewmat, np.float64)[:3, :3]
-    facing = np.flatnonzero(np.sum(outward * directions, axis=-1) < -LEAST_FACING)
-    drawn = rng.permutation(facing)[:count]
-    colors = to_bytes(np.asarray(picture.colors)[rows[drawn], columns[drawn]])
-    return points[drawn].astype(np.float32), outward[drawn].astype(np.float32), colors

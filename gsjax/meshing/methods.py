@@ -17,10 +17,10 @@ from gsjax.io.machine import require_memory
 from gsjax.scene.similarity import Similarity
 
 if TYPE_CHECKING:
-    from gsjax.meshing.consistent_depth import NormalsOfDepth
     from gsjax.meshing.level_set import LevelSetOptions
     from gsjax.meshing.mesh_method import Method
     from gsjax.meshing.poisson import PoissonOptions
+    from gsjax.meshing.tsdf import NormalsOfDepth
     from gsjax.rendering.coarse_depths import CoarseDepth
 
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
@@ -117,8 +117,13 @@ class DepthEvidence(Protocol):
         ...
 
     @property
-    def stereo(self) -> Mapping[int, CoarseDepth]:
-        """By the view's index, multi-view stereo depth of its photo."""
+    def stereo(self) -> Mapping[int, np.ndarray]:
+        """By the view's index, multi-view stereo depth `[h, w]` of its photo; 0 where it is unknown."""
+        ...
+
+    @property
+    def stereo_counts(self) -> bool:
+        """Whether that counts where the rendered depth contradicts it."""
         ...
 
 
@@ -130,7 +135,6 @@ class MeshMethod:
     make: Callable[[MethodOptions, DepthEvidence, Sequence[int]], Method]  # the last: indices of the cameras' views
     options: frozenset[str] = frozenset()  # names of the `MethodOptions` that it reads
     needs: frozenset[str] = frozenset()  # "owners" in its pictures, the "photos" of the data set
-    closes_holes: bool = False  # whether `gsjax.meshing.holes` always follows
 
 
 def _poisson(options: MethodOptions, *_: object) -> Method:
@@ -140,38 +144,35 @@ def _poisson(options: MethodOptions, *_: object) -> Method:
 
 
 def _agreed(options: MethodOptions, depths: DepthEvidence, ids: Sequence[int]) -> Method:
-    from gsjax.meshing.consistent_depth import consistent_poisson
+    from gsjax.meshing.consistent_depth import of_consistent_depth
 
-    return consistent_poisson(
-        depths.normals_of,
-        options.sampling.num_points,
-        options.reconstruction,
+    return of_consistent_depth(
+        _tsdf(options, depths),
         rendered=depths.rendered,
         stereo=depths.stereo,
+        stereo_counts=depths.stereo_counts,
         ids=ids,
     )
 
 
-def _tsdf(options: MethodOptions, *_: object) -> Method:
+def _tsdf(options: MethodOptions, depths: DepthEvidence, *_: object) -> Method:
     from gsjax.meshing.tsdf import tsdf
 
-    return tsdf(voxel=options.cell)
+    return tsdf(depths.normals_of, voxel=options.cell)
 
 
-OF_POISSON = frozenset({"points", "depth", "trim_quantile"})
 METHODS: dict[str, MeshMethod] = {
     "poisson": MeshMethod(
         "Poisson through points of the density's level set",
         _poisson,
-        options=OF_POISSON | {"level"},
+        options=frozenset({"points", "depth", "trim_quantile", "level"}),
         needs=frozenset({"owners"}),
     ),
     "agreed": MeshMethod(
-        "Poisson through depth that is consistent between views, of the photos or rendered",
+        "fusion of the rendered depth where other views and the photos' stereo agree about it",
         _agreed,
-        options=OF_POISSON,
+        options=frozenset({"cell"}),
         needs=frozenset({"photos"}),
-        closes_holes=True,
     ),
     "tsdf": MeshMethod(
         "fusion of the rendered depth, open where no view shows a surface",

@@ -1,6 +1,6 @@
 """Fusion of the rendered depth into a truncated signed distance field, and its zero set: no wall is invented."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +17,19 @@ from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
 from gsjax.scene.meshes import Mesh
 
-VOXEL_PER_SCALE = 1.0  # Voxels smaller than the Gaussians reproduce their bumps.
+VOXEL_PER_SCALE = 0.75  # Voxels much smaller than the Gaussians reproduce their bumps.
 MOST_VOXELS = 512  # Along the longest side of a region, where the size is chosen.
 TRUNCATION = 5.0  # Voxels on both sides of the depth that a view speaks about.
 BLOCK = 8  # Voxels along the side of a block, of which the grid has as many as the surface touches.
 BYTES_PER_VOXEL = 20  # distance, weight and colour
+LEAST_FACING = 0.35  # Cosine between normal and ray: depth of what is seen at a flatter angle is off by much.
+SMOOTHED, STEP = 5, 0.5  # Rounds in which a vertex moves by a share of the way to its neighbours' mean.
 SEEN_ONCE = 0.5  # A voxel that one view speaks about counts.
 POINTS_PER_VIEW = 2_000  # Of the depth, to choose the regions by.
+
+
+NormalsOfDepth = Callable[[np.ndarray, np.ndarray, Camera], np.ndarray]
+"""Depth and alphas `[H, W]`, camera -> `[H, W, 3]` unit normals in its frame, towards it; zero where there is none."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +41,16 @@ class DepthView:
     colors: np.ndarray  # [H, W, 3] uint8
 
 
-def tsdf(*, voxel: float | None = None) -> Method:
-    """Surface by fusion of depth, Open3D's on the CPU.
+def tsdf(normals_of: NormalsOfDepth, *, voxel: float | None = None) -> Method:
+    """Surface by fusion of depth, Open3D's on the CPU, smoothed.
 
-    What no view has seen stays open, and thin parts keep their thickness down to some voxels; noise of the depth stays
-    too. How deep a view reaches is not an option: it is the region, by the points that its pixels stand for.
+    What no view has seen stays open, and thin parts keep their thickness down to some voxels. Pixels at edges and at
+    flat angles take no part. How deep a view reaches is not an option: it is the region, by the points that its pixels
+    stand for.
 
     Args:
-        voxel: Its side, scene units. None: the median Gaussian's largest standard deviation in the region, or a 512th
+        normals_of: Normals of the depth, such as `gsjax.normals.from_depth.smoothed_depth_normals`.
+        voxel: Its side, scene units. None: three quarters of the median Gaussian's largest standard deviation in the region, or a 512th
             of the region's longest side where that is larger.
     """
 
@@ -53,7 +61,7 @@ def tsdf(*, voxel: float | None = None) -> Method:
         rng = np.random.default_rng(0)
         for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
             level_set.check_sizes(index, camera, picture)
-            depth = np.where(level_set.shows_surface(picture), picture.depth, 0).astype(np.float32)
+            depth = _facing(picture, camera, normals_of)
             views.append(DepthView(camera, depth, to_bytes(np.asarray(picture.colors))))
             rows, columns = np.nonzero(depth)
             drawn = rng.permutation(len(rows))[:POINTS_PER_VIEW]
@@ -61,17 +69,41 @@ def tsdf(*, voxel: float | None = None) -> Method:
         points = np.concatenate(points)
         if not len(points):
             raise NoSurfaceError(
-                f"no surface to extract: no pixel of {len(views)} views has alpha > {level_set.MIN_ALPHA} and a depth"
+                f"no surface to extract: no pixel of {len(views)} views has alpha > {level_set.MIN_ALPHA} and a normal"
             )
 
         def build(region: Region) -> tuple[Mesh, dict]:
             smallest = region.box.longest / MOST_VOXELS
             side = voxel or max(VOXEL_PER_SCALE * typical_scale(gaussians, region), smallest)
-            return _fused(views, region.grown(TRUNCATION * side), side), {"voxel": side}
+            return _smoothed(_fused(views, region.grown(TRUNCATION * side), side)), {"voxel": side}
 
         return SurfaceSamples(points, build, {"views": len(views)})
 
     return from_fused_depth
+
+
+def _facing(picture: Picture, camera: Camera, normals_of: NormalsOfDepth) -> np.ndarray:
+    """The picture's depth where its surface has a normal that faces the camera, else 0."""
+    is_covered = level_set.shows_surface(picture)
+    depth, alphas = (np.where(is_covered, each, 0).astype(np.float32) for each in (picture.depth, picture.alphas))
+    rows, columns = np.nonzero(is_covered)
+    _, directions = level_set.world_points(camera, depth, rows, columns)
+    normals = np.asarray(normals_of(depth, alphas, camera))[rows, columns] @ np.asarray(camera.viewmat)[:3, :3]
+    faces = np.sum(normals * directions, axis=-1) < -LEAST_FACING
+    depth[rows[~faces], columns[~faces]] = 0
+    return depth
+
+
+def _smoothed(mesh: Mesh) -> Mesh:
+    """The mesh with the noise of depth smoothed; its border stays."""
+    trimesh = require("trimesh")
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    border = shape.edges_sorted[trimesh.grouping.group_rows(shape.edges_sorted, require_count=1)]
+    operator = trimesh.smoothing.laplacian_calculation(shape, pinned_vertices=np.unique(border))
+    trimesh.smoothing.filter_laplacian(
+        shape, lamb=STEP, iterations=SMOOTHED, volume_constraint=False, laplacian_operator=operator
+    )
+    return Mesh(np.asarray(shape.vertices, mesh.vertices.dtype), mesh.faces, mesh.colors)
 
 
 def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:

@@ -72,10 +72,10 @@ def mesh(
             (`gsjax.meshing.track_visibility`), or without tracks with the photos' mattes (`gsjax.meshing.silhouettes`);
             "poisson" where there is neither, and of a run with an entropy phase, which is made for the level set.
         level: Density at which the surface lies ("poisson"). None: 0.3.
-        points: Most surface points ("poisson", "agreed"). None: an eighth of the pixels, 200,000 to 10 million.
+        points: Most surface points ("poisson"). None: an eighth of the pixels, 200,000 to 10 million.
         depth: Of the Poisson octree (the same). None: chosen from the sizes of the Gaussians.
         trim_quantile: Share of the least supported vertices to cut away (the same). None: adaptive.
-        cell: Side of a voxel ("tsdf"), scene units. None: from the Gaussians.
+        cell: Side of a voxel ("tsdf", "agreed"), scene units. None: from the Gaussians.
         bounds: x0 y0 z0 x1 y1 z1 of the box to keep, scene coordinates. None: around the points; the rest, up to four
             times that size, is a background with a coarser surface of its own.
         background_bounds: The same of a background around `bounds`.
@@ -84,8 +84,7 @@ def mesh(
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them. Of a run
             folder, where its data set is, if it was moved.
         photo_refine: Whether vertices move to where the photos agree.
-        fill_holes: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`). After "agreed"
-            they always are.
+        fill_holes: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`).
         keep_floaters: Whether Gaussians that hang in the air (`gsjax.rendering.outliers`) take part. They always do
             where no camera of a photo is known.
 
@@ -110,14 +109,14 @@ def mesh(
     result, data = _open(Path(source), scene, with_photos=photo_refine or len(methods) > 1 or "photos" in needs)
     request = _to_local(request, result)
 
-    several_passes = len(methods) > 1 or fill_holes or any(each.closes_holes for each in methods.values())
+    several_passes = len(methods) > 1 or fill_holes
     views, floaters = MeshViews(result, data, with_owners="owners" in needs, several_passes=several_passes), None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
         views, floaters = views.without_floaters()
     name, tried = _select(methods, request, views)
     surface, report = _extract(methods[name], request, views, views.ids)
     report |= {"method": name, "tried": tried, "floaters": floaters, "holes": None, "photo_refine": None}
-    if fill_holes or methods[name].closes_holes:
+    if fill_holes:
         surface, closed = holes.fill_holes(surface, views.rendered)
         report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
     if photo_refine and data is not None:

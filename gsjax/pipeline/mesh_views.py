@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ import numpy as np
 
 from gsjax.gaussians import take, without_view_dependence
 from gsjax.io.machine import free_memory
-from gsjax.meshing.consistent_depth import NormalsOfDepth
+from gsjax.meshing.tsdf import NormalsOfDepth
 from gsjax.normals.from_depth import chosen_reduction, smoothed_depth_normals
 from gsjax.rendering.coarse_depths import CoarseDepth, coarse_depth
 from gsjax.rendering.gallery import Picture
@@ -20,7 +21,7 @@ from gsjax.runs.normal_source import VIEWS_FOR_NOISE
 from gsjax.runs.result import Result, training_pictures
 from gsjax.scene import Scene
 from gsjax.scene.colors import to_bytes
-from gsjax.stereo import depths_of_photos
+from gsjax.stereo import StereoMap, depths_of_photos, read_stereo_maps, stereo_maps
 
 MOST_COMPARED = 100  # photos, evenly spread: more of them add little
 BYTES_PER_PIXEL = 15  # of a stored picture
@@ -83,14 +84,27 @@ class MeshViews:
         return list(map(coarse_depth, self.cameras, pictures))
 
     @cached_property
-    def stereo(self) -> dict[int, CoarseDepth]:
-        """By the view's index, the multi-view stereo depth of its photo."""
-        if self.data is None:
-            return {}
-        names = [self.result.names[index] for index in self.training]
-        depths = depths_of_photos(self.data, MOST_COMPARED)
-        print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
-        return {names.index(each.view.name): each.coarse() for each in depths.accepted}
+    def stereo(self) -> dict[int, np.ndarray]:
+        """By the view's index, the multi-view stereo depth of its photo: that which supervised the run, if any did."""
+        maps = self._of_run
+        if maps is None:
+            if self.data is None:
+                return {}
+            depths = depths_of_photos(self.data, MOST_COMPARED)
+            print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
+            maps = stereo_maps(depths)
+        numbers = {self.result.names[index]: number for number, index in enumerate(self.training)}
+        return {numbers[name]: each.depth for name, each in maps.items() if name in numbers}
+
+    @property
+    def stereo_counts(self) -> bool:
+        """Whether stereo depth counts where the rendered depth contradicts it: the Gaussians were trained without."""
+        return self._of_run is None
+
+    @cached_property
+    def _of_run(self) -> dict[str, StereoMap] | None:
+        source = Path(self.result.source)
+        return read_stereo_maps(source) if source.is_dir() else None
 
     @cached_property
     def normals_of(self) -> NormalsOfDepth:

@@ -33,6 +33,7 @@ from gsjax.runs.photo_effects import moves_line, with_moved_cameras, write_photo
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
 from gsjax.settings import Settings
+from gsjax.stereo import write_stereo_maps
 from gsjax.training import data_parallel, optimizers
 from gsjax.training.data_parallel import Devices
 from gsjax.training.densification.rules import DensificationRule
@@ -101,6 +102,8 @@ def train(
         run = _open_run(asked, loaded, planned)
         with runs.claim_run(run):
             runs.update_manifest(run, **prepared.notes)
+            if prepared.stereo and is_first():
+                write_stereo_maps(run, prepared.stereo)
             trained = _fit(run, asked, prepared, planned, observe)
             return _write(run, prepared, planned, trained)
 

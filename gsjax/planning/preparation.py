@@ -26,6 +26,7 @@ from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.sparse_views import ENTRY, Decision, Gain, for_sparse_views
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
+from gsjax.planning.stereo_supervision import stereo_supervision
 from gsjax.rendering.engine import engine_here
 from gsjax.runs.normal_source import NormalSource, note_normals
 from gsjax.runs.processes import is_first, same_everywhere
@@ -33,6 +34,7 @@ from gsjax.runs.run import Run
 from gsjax.runs.splits import Split, require_photos_of_effects, split_of
 from gsjax.scene import Keep, Scene, preload
 from gsjax.settings import AUTO, Settings
+from gsjax.stereo import StereoMaps
 from gsjax.training.data_parallel import Devices, device_mesh
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
 from gsjax.training.plan import Plan, check_terms, plan
@@ -131,7 +133,8 @@ class Prepared:
     plan: Plan  # for these photos and this machine, without effects
     keep: Keep  # where photos and maps lie
     normals: NormalSource
-    depths: Depths | None  # measured
+    depths: Depths | None  # measured, or of stereo
+    stereo: StereoMaps  # that supervise the run
     effects: ChosenEffects
     notes: dict[str, Any]  # entries of the manifest
 
@@ -145,22 +148,25 @@ def prepare(asked: Asked, loaded: Loaded) -> Prepared:
     inspected = look_for_effects(settings.effects.names, scene)
     scene = inspected.scene
     extent = training_extent(scene)
+    measured, start = measured_depth(scene, maps), with_given_points(scene, settings.model.points)
+    stereo = stereo_supervision(scene, settings, asked.out if asked.resumed else None)
+    planned = memory.plan.with_terms(stereo.weights)
+    report(measured and f"depth {measured.line}", stereo.line)
     normals = NormalSource(
         asked.out,
-        memory.plan.normals,
+        planned.normals,
         maps.normal_axes,
         scene.train_frames,
         settings.model.depth_mode,
         maps.normal_gate,
+        stereo=stereo.normals,
         keep=memory.keep,
         notify=partial(note_normals, asked.out),
     )
-    measured, start = measured_depth(scene, maps), with_given_points(scene, settings.model.points)
-    report(measured and f"depth {measured.line}")
     if not asked.has_checkpoint:
-        start, lines = with_stereo_points(start, memory.plan)
+        start, lines = with_stereo_points(start, planned, stereo.swept)
         report(*lines)
-    effects = _choose_effects(asked, memory.plan, inspected, start, extent, loaded.downscale).with_own(asked.effects)
+    effects = _choose_effects(asked, planned, inspected, start, extent, loaded.downscale).with_own(asked.effects)
     notes = {
         "photos": loaded.line,
         "memory": "; ".join(memory.lines),
@@ -169,8 +175,8 @@ def prepare(asked: Asked, loaded: Loaded) -> Prepared:
         **asked.pieces,
     }
     notes = {name: note for name, note in notes.items() if note}
-    depths = measured and measured.depths
-    return Prepared(scene, start, extent, memory.plan, memory.keep, normals, depths, effects, notes)
+    depths = measured.depths if measured else stereo.depths(scene.train_frames)
+    return Prepared(scene, start, extent, planned, memory.keep, normals, depths, stereo.maps, effects, notes)
 
 
 def _size(asked: Asked, scene: Scene) -> tuple[Fitted, Decision | None]:

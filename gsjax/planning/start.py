@@ -10,7 +10,7 @@ from gsjax.effects.simulation import Effects
 from gsjax.io.ply import read_points
 from gsjax.scene import Scene
 from gsjax.settings import Model
-from gsjax.stereo import stereo_points
+from gsjax.stereo import PhotoDepths, depths_of_photos, stereo_points
 from gsjax.training import initialize
 from gsjax.training.buffers import bucket
 from gsjax.training.densification.rules import DensificationRule
@@ -31,18 +31,20 @@ def with_given_points(scene: Scene, file: str | None) -> Scene:
     return replace(scene, points=local, point_colors=colors, tracks=None)
 
 
-def with_stereo_points(scene: Scene, planned: Plan) -> tuple[Scene, tuple[str, ...]]:
+def with_stereo_points(scene: Scene, planned: Plan, depths: PhotoDepths | None = None) -> tuple[Scene, tuple[str, ...]]:
     """The scene with points where its photos agree about depth after its own, and a line that says how many.
 
-    What structure from motion left empty has something to start with, on the surface and not before it.
+    What structure from motion left empty has something to start with, on the surface and not before it. `depths` is
+    stereo depth that is known already.
     """
     most = planned.max_gaussians // CLOUD_SHARE
     count = min(planned.stereo_points, most)
     if not count or scene.tracks is None or len(scene.points) > most:
         return scene, ()
-    found = stereo_points(scene, count)
-    if found is None:
+    depths = depths_of_photos(scene) if depths is None else depths
+    if not depths.accepted:
         return scene, ()
+    found = stereo_points(depths, count)
     points = np.concatenate([scene.points, found.points])
     return replace(scene, points=points, point_colors=np.concatenate([scene.point_colors, found.colors])), (found.line,)
 

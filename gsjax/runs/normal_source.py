@@ -1,8 +1,9 @@
-"""The normals that supervise a run: a folder of maps, or self-supervised ones from the smoothed rendered depth."""
+"""The normals that supervise a run: a folder of maps, those of multi-view stereo, or of its own smoothed depth."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeVar
 
 import jax.numpy as jnp
@@ -12,7 +13,7 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
-from gsjax.io.images import read_image, write_image
+from gsjax.io.images import cv2, read_image, write_image
 from gsjax.io.normal_folders import network_of
 from gsjax.io.normal_maps import map_places, normal_maps
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
@@ -48,6 +49,7 @@ class NormalSource:
         depth_mode: DepthReading = "plane",
         gated: bool = False,
         *,
+        stereo: Mapping[str, np.ndarray] = MappingProxyType({}),
         keep: Keep = in_memory,
         notify: Callable[[str], None] = lambda line: tqdm.write(f"normals: {line}", file=sys.stderr),
     ):
@@ -61,6 +63,8 @@ class NormalSource:
             frames: Whose normals supervise the run.
             depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
             gated: Whether the consistency filter weights the normals, see `gsjax.runs.normal_filter`.
+            stereo: Normals of multi-view stereo by the photo's name, `[h, w, 3]` int8 as `__call__` returns them. They
+                serve where no folder is given, unfiltered: other photos confirm them already.
             keep: Where the maps are to lie.
             notify: Receives lines: the axes of foreign maps and the evidence for them; the verdict of the filter.
 
@@ -72,7 +76,8 @@ class NormalSource:
         if folder is None and axes is not None:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.depth_mode: DepthReading = depth_mode
-        self.gated = gated
+        self.stereo = stereo if folder is None else {}
+        self.gated = gated and not self.stereo
         self.keep, self.notify = keep, notify
         self.network = None if folder is None else network_of(folder)
         self.given = None if folder is None else normal_maps(folder, frames)
@@ -90,7 +95,7 @@ class NormalSource:
         files = {name: self.folder / f"{place}.png" for name, place in map_places(frames).items()}
         missing = [frame for frame in frames if not files[frame.name].exists()]
         if missing:
-            maps = self._foreign(gaussians, frames, missing) if self.given else self._own(gaussians, frames, missing)
+            maps = self._made(gaussians, frames, missing)
             shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals", unit="view")
             for frame, normals in shown:
                 write_map(files[frame.name], normals)
@@ -116,6 +121,18 @@ class NormalSource:
         if not self.gated or self.given is not None:
             return np.ones(len(frames))
         return np.array([share_compared(apart) for apart in stored_disagreements(self.folder, frames)])
+
+    def _made(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
+        if self.given is not None:
+            return self._foreign(gaussians, frames, missing)
+        return map(self._of_stereo, missing) if self.stereo else self._own(gaussians, frames, missing)
+
+    def _of_stereo(self, frame: Frame) -> np.ndarray:
+        size = (frame.width, frame.height)
+        normals = self.stereo.get(frame.name)
+        if normals is None:
+            return np.zeros((*size[::-1], 3), np.float32)
+        return cv2.resize(normals, size, interpolation=cv2.INTER_NEAREST).astype(np.float32) / 127
 
     def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
         assert self.given is not None

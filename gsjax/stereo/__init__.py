@@ -6,6 +6,18 @@ right.
 """
 
 from gsjax.stereo.depths import PhotoDepth, PhotoDepths, depths_of_photos
+from gsjax.stereo.maps import StereoMap, StereoMaps, read_stereo_maps, stereo_maps, write_stereo_maps
 from gsjax.stereo.points import StereoPoints, stereo_points
 
-__all__ = ["PhotoDepth", "PhotoDepths", "StereoPoints", "depths_of_photos", "stereo_points"]
+__all__ = [
+    "PhotoDepth",
+    "PhotoDepths",
+    "StereoMap",
+    "StereoMaps",
+    "StereoPoints",
+    "depths_of_photos",
+    "read_stereo_maps",
+    "stereo_maps",
+    "stereo_points",
+    "write_stereo_maps",
+]

@@ -1,4 +1,4 @@
-"""Multi-view stereo depth of photos, where it is consistent between them."""
+"""Multi-view stereo depth of photos, where it is consistent between them, completed by planes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -8,10 +8,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
 
-from gsjax.rendering.coarse_depths import CoarseDepth
 from gsjax.scene import Scene
-from gsjax.scene.cameras import Camera
 from gsjax.stereo.aggregation import best_planes
+from gsjax.stereo.completion import complete
 from gsjax.stereo.sweep import dissimilarities, inverse_depths
 from gsjax.stereo.views import MOST_VIEWS, Depth, View, neighbors, stereo_views
 
@@ -41,13 +40,8 @@ class PhotoDepth(NamedTuple):
 
     view: View
     depth: Depth  # confident where another photo confirms it
+    normals: np.ndarray  # [H, W, 3] float32 unit, in the camera's frame, towards it; 0 where depth is not confident
     evidence: Evidence  # of the photo's matched points
-
-    def coarse(self) -> CoarseDepth:
-        """Return the confident depth as that of a view."""
-        height, width = self.view.gray.shape
-        camera = Camera(self.view.viewmat, self.view.K, width, height)
-        return CoarseDepth(camera, np.where(self.depth.is_confident, self.depth.z, 0).astype(np.float32))
 
 
 class PhotoDepths(NamedTuple):
@@ -70,7 +64,8 @@ def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
 
     A plane sweep compares every photo with its neighbours, and semi-global matching smooths the depth. A pixel counts
     where it is confident and another photo confirms it; a photo counts unless its own matched points contradict it.
-    Photos are compared at `gsjax.stereo.views.SIDE`.
+    Planes of the photos' segments then complete the depth (`gsjax.stereo.completion`). Photos are compared at
+    `gsjax.stereo.views.SIDE`.
 
     Args:
         scene: A loaded data set; without tracks no photo is compared.
@@ -87,13 +82,17 @@ def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
         _swept(view, [views[other] for other in others])
         for view, others in zip(tqdm(views, desc="stereo", unit="photo", leave=False), near, strict=True)
     ]
-    accepted = []
-    for index, (view, depth) in enumerate(zip(views, swept, strict=True)):
-        others = sorted({*near[index], *(other for other, its in enumerate(near) if index in its)})
-        kept = depth._replace(is_confident=confirmed(view, depth, [(views[other], swept[other]) for other in others]))
-        matched = evidence(view, kept, scene.points)
-        if matched.is_good and kept.is_confident.any():
-            accepted.append(PhotoDepth(view, kept, matched))
+    near = [sorted({*own, *(other for other, its in enumerate(near) if i in its)}) for i, own in enumerate(near)]
+    kept = []
+    for view, depth, others in zip(views, swept, near, strict=True):
+        own = depth._replace(is_confident=confirmed(view, depth, [(views[other], swept[other]) for other in others]))
+        is_good = evidence(view, own, scene.points).is_good
+        kept.append(own if is_good else own._replace(is_confident=np.zeros_like(own.is_confident)))
+    accepted = (
+        PhotoDepth(view, *full, evidence(view, full.depth, scene.points))
+        for view, full in zip(views, complete(views, kept, near), strict=True)
+        if full.depth.is_confident.any()
+    )
     return PhotoDepths(tuple(accepted), len(views))
 
 

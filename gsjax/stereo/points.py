@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.scene import Scene
-from gsjax.stereo.depths import depths_of_photos
+from gsjax.stereo.depths import PhotoDepths
 
 CANDIDATES = 20  # for every returned point, when they are thinned
 GROWTH = 1.1  # of the cells that thin points, per round
@@ -19,19 +18,13 @@ class StereoPoints(NamedTuple):
     line: str  # their number and accuracy, in words
 
 
-def stereo_points(scene: Scene, count: int) -> StereoPoints | None:
-    """Return at most `count` points of consistent stereo depth, evenly spread; None where there is none.
+def stereo_points(swept: PhotoDepths, count: int) -> StereoPoints:
+    """Return at most `count` points of consistent stereo depth, evenly spread.
 
     Args:
-        scene: A loaded data set; without tracks the result is None.
+        swept: Depth of one photo at least.
         count: At least 1.
-
-    Raises:
-        InputError: The tracks cannot be read, or name points that the scene does not have.
     """
-    swept = depths_of_photos(scene)
-    if not swept.accepted:
-        return None
     points = np.concatenate([each.view.lift(each.depth) for each in swept.accepted])
     colors = np.concatenate([each.view.color[each.depth.is_confident] for each in swept.accepted])
     chosen = spread_evenly(points, count)

@@ -1,0 +1,66 @@
+"""What multi-view stereo of the photos supervises in a run: depth, and normals where no maps are given."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from gsjax.io.depth_maps import Readings
+from gsjax.planning.measured_depth import Depths
+from gsjax.scene import Frame, Scene
+from gsjax.settings import Settings
+from gsjax.stereo import PhotoDepths, StereoMaps, depths_of_photos, read_stereo_maps, stereo_maps
+from gsjax.training.terms import weights_of_data
+
+MOST_PHOTOS = 100  # evenly spread; of more photos some have no stereo depth
+CERTAIN = 255  # confidence of depth that other photos confirm
+
+
+class StereoSupervision(NamedTuple):
+    """Maps by the photo's name, of which there may be none."""
+
+    maps: StereoMaps
+    weights: Mapping[str, float]  # of the terms that the maps bring
+    swept: PhotoDepths | None = None  # None: the maps are those of an earlier run
+    line: str | None = None  # how many photos have depth
+
+    @property
+    def normals(self) -> dict[str, np.ndarray]:
+        """Normals by the photo's name."""
+        return {name: each.normals for name, each in self.maps.items()}
+
+    def depths(self, frames: tuple[Frame, ...]) -> Depths | None:
+        """The depth of frames; None where no photo has any."""
+        if not self.maps:
+            return None
+        return lambda scale: (self._reading(frame, scale) for frame in frames)
+
+    def _reading(self, frame: Frame, scale: int) -> Readings:
+        width, height = frame.width // scale, frame.height // scale
+        if frame.name not in self.maps:
+            return np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
+        depth = self.maps[frame.name].at_size(width, height).depth
+        return depth, np.where(depth > 0, CERTAIN, 0).astype(np.uint8)
+
+
+NO_STEREO = StereoSupervision({}, {})
+
+
+def stereo_supervision(scene: Scene, settings: Settings, run: Path | None) -> StereoSupervision:
+    """Compute the stereo maps of the training photos, where the settings ask for them.
+
+    Args:
+        scene: The data set, its photos in memory.
+        settings: Of the run.
+        run: The folder of a run that goes on, whose maps are read. None: the run is new.
+
+    Raises:
+        InputError: The tracks or the maps of the run cannot be read.
+    """
+    if not settings.supervision.stereo or settings.schedule.vanilla:
+        return NO_STEREO
+    swept = None if run is not None else depths_of_photos(scene, MOST_PHOTOS)
+    maps = stereo_maps(swept) if swept is not None else read_stereo_maps(run) or {}
+    weights = weights_of_data("measured", settings.supervision.depth_weight) if maps else {}
+    return StereoSupervision(maps, weights, swept, swept and f"multi-view stereo supervises depth: {swept.line}")

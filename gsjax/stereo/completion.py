@@ -1,0 +1,146 @@
+"""Stereo depth completed by planes: depth near the plane of its segment moves there, and gaps are filled from it.
+
+A gap is filled only where another photo shows the same surface and no photo sees through it. This is done in rounds:
+what other photos show of a gap lets planes be fitted to segments that have too little depth of their own.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gsjax.scene.meshes import unit_or_zero
+from gsjax.stereo.planes import local_planes, segment_planes
+from gsjax.stereo.views import Depth, View
+
+ROUNDS = 2
+ON_PLANE = 0.01  # of the inverse depth, up to which stereo depth moves to its segment's plane,
+OFF_PLANE = 0.02  # and from which it is dropped: at an outline a window takes the nearer surface's depth
+SAME_DEPTH = 0.01  # of the inverse depth, between photos that show one surface
+SAME_PIXEL = 1.0  # pixels, by which that difference moves a pixel in the other photo at the most
+SAME_ANGLE = 25.0  # degrees, between the normals of two photos that show one surface
+BEHIND = 0.04  # of the depth, by which what a photo shows behind a surface contradicts it
+
+
+class Completed(NamedTuple):
+    """The surface that a photo shows."""
+
+    depth: Depth
+    normals: np.ndarray  # [H, W, 3] float32 unit, in the camera's frame, towards it; 0 where depth is not confident
+
+
+class _Surface(NamedTuple):
+    view: View
+    planes: np.ndarray  # [H, W, 3] of stereo and of segments; 0 where there is none
+    stereo: np.ndarray  # [H, W, 3] of stereo alone
+
+    @property
+    def normals(self) -> np.ndarray:
+        return plane_normals(self.planes, self.view)
+
+
+def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequence[int]]) -> list[Completed]:
+    """Complete the depth of photos by planes.
+
+    Args:
+        views: The photos.
+        depths: Their depth, confident where another photo confirms it.
+        near: For every photo, the indices of those that it is compared with.
+    """
+    rng = np.random.default_rng(0)
+    completed = _complete_once(views, depths, near, rng)
+    for _ in range(ROUNDS - 1):
+        known = [each.depth for each in completed]
+        filled = [
+            _filled(view, known[index], _shown(view, views, known, near[index])) for index, view in enumerate(views)
+        ]
+        completed = _complete_once(views, filled, near, rng)
+    return completed
+
+
+def _filled(view: View, depth: Depth, z: np.ndarray) -> Depth:
+    """The depth, and where there is none that of `[H, W]` z, infinite where nothing is known."""
+    fills = ~depth.is_confident & np.isfinite(z) & view.usable
+    return Depth(np.where(fills, z, depth.z), depth.is_confident | fills)
+
+
+def _shown(view: View, views: Sequence[View], depths: Sequence[Depth], others: Sequence[int]) -> np.ndarray:
+    """`[H, W]` camera z of the nearest surface that other photos show in each pixel; infinite where none does."""
+    nearest = np.full(view.gray.shape, np.inf)
+    for other in others:
+        row, column, z, inside = view.landing(views[other].lift(depths[other]))
+        np.minimum.at(nearest, (row[inside], column[inside]), z[inside])
+    return nearest
+
+
+def _complete_once(
+    views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequence[int]], rng: np.random.Generator
+) -> list[Completed]:
+    surfaces = [_surface(view, depth, rng) for view, depth in zip(views, depths, strict=True)]
+    normals = [surface.normals for surface in surfaces]
+    completed = []
+    for index, surface in enumerate(surfaces):
+        confirmed = np.zeros(surface.planes.shape[:2], bool)
+        contradicted = np.zeros_like(confirmed)
+        for other in near[index]:
+            same, behind = _compare(surface, normals[index], surfaces[other], normals[other])
+            confirmed |= same
+            contradicted |= behind
+        known = confirmed & ~contradicted
+        z = 1 / np.where(known, surface.planes[..., 0], 1)
+        completed.append(Completed(Depth(z, known), np.where(known[..., None], normals[index], 0).astype(np.float32)))
+    return completed
+
+
+def _surface(view: View, depth: Depth, rng: np.random.Generator) -> _Surface:
+    stereo = local_planes(depth)
+    segments = segment_planes(view, stereo, rng)
+    has_plane = segments[..., 0] > 0
+    apart = np.abs(stereo[..., 0] - segments[..., 0])
+    known = depth.is_confident & ~(has_plane & (apart > OFF_PLANE * segments[..., 0]))
+    moves = known & has_plane & (apart < ON_PLANE * segments[..., 0])
+    kept = np.where(moves[..., None], segments, stereo) * known[..., None]
+    fills = ~depth.is_confident & has_plane & view.usable
+    return _Surface(view, np.where(fills[..., None], segments, kept), kept)
+
+
+def _compare(
+    surface: _Surface, normals: np.ndarray, other: _Surface, its_normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """`[H, W]` bool: where another photo shows the same surface, and where its stereo shows one behind."""
+    view, theirs = surface.view, other.view
+    turn = theirs.viewmat[:3, :3] @ view.viewmat[:3, :3].T
+    shift = theirs.K @ (theirs.viewmat[:3, 3] - turn @ view.viewmat[:3, 3])
+    rows, columns = np.nonzero(surface.planes[..., 0] > 0)
+    inverse = surface.planes[rows, columns, 0]
+    pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=-1)
+    there = pixels @ (theirs.K @ turn @ np.linalg.inv(view.K)).T + inverse[:, None] * shift
+    ahead = there[:, 2] > 0.05  # Their depth, as a share of ours.
+    x, y = (there[:, :2] / np.where(ahead, there[:, 2], 1)[:, None]).T
+    height, width = theirs.gray.shape
+    inside = ahead & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    column, row = (np.where(inside, axis, 0).astype(int) for axis in (x, y))
+    expected = inverse / np.where(ahead, there[:, 2], 1)
+    value, slope_x, slope_y = other.planes[row, column].T
+    shown = value + slope_x * (x - column - 0.5) + slope_y * (y - row - 0.5)
+    apart = np.abs(shown - expected)
+    along = np.hypot(shift[0] - x * shift[2], shift[1] - y * shift[2])
+    cosine = np.sum(normals[rows, columns] @ turn.T * its_normals[row, column], axis=-1)
+    same = inside & (value > 0) & (apart < SAME_DEPTH * expected) & (apart / expected * inverse * along < SAME_PIXEL)
+    stereo = other.stereo[row, column, 0]
+    maps = np.zeros((2, *surface.planes.shape[:2]), bool)
+    maps[0, rows, columns] = same & (cosine > np.cos(np.radians(SAME_ANGLE)))
+    maps[1, rows, columns] = inside & (stereo > 0) & (stereo < expected * (1 - BEHIND))
+    return maps[0], maps[1]
+
+
+def plane_normals(planes: np.ndarray, view: View) -> np.ndarray:
+    """`[H, W, 3]` unit normals, in the camera's frame and towards it, of a map of planes; 0 where there is none.
+
+    For points P of a plane n.P = h, inverse depth is n.(ray / h), hence n / h follows from its value and slopes.
+    """
+    height, width = planes.shape[:2]
+    x, y = np.meshgrid(np.arange(width) + 0.5 - view.K[0, 2], np.arange(height) + 0.5 - view.K[1, 2])
+    value, slope_x, slope_y = np.moveaxis(planes, -1, 0)
+    away = np.stack([view.K[0, 0] * slope_x, view.K[1, 1] * slope_y, value - x * slope_x - y * slope_y], axis=-1)
+    return unit_or_zero(-away) * (value > 0)[..., None]

@@ -1,0 +1,74 @@
+"""Stereo depth and normals of photos by name, as training and meshes read them; a run stores them in one file."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.io.arrays import read_arrays
+from gsjax.io.files import atomic_path
+from gsjax.io.images import cv2
+from gsjax.scene import Frame
+from gsjax.scene.cameras import Camera
+from gsjax.stereo.depths import PhotoDepths
+
+FILE = "stereo.npz"  # in the folder of a run
+UNIT = 127  # length of a normal
+
+
+class StereoMap(NamedTuple):
+    """Depth and normals of one photo, of `gsjax.stereo.views.SIDE` at the most."""
+
+    depth: np.ndarray  # [h, w] float32 camera z, scene units; 0 where it is unknown
+    normals: np.ndarray  # [h, w, 3] int8, `UNIT` times the unit normal in the camera's frame, towards it; 0 the same
+
+    def camera(self, frame: Frame) -> Camera:
+        """Return the camera of the photo at the size of the map."""
+        height, width = self.depth.shape
+        K = np.diag([width / frame.width, height / frame.height, 1.0]) @ frame.K.astype(np.float64)
+        return Camera(frame.viewmat.astype(np.float64), K, width, height)
+
+    def at_size(self, width: int, height: int) -> "StereoMap":
+        """Return the map at another size; every pixel takes the nearest one."""
+        resized = (cv2.resize(each, (width, height), interpolation=cv2.INTER_NEAREST) for each in self)
+        return StereoMap(*resized)
+
+
+StereoMaps = Mapping[str, StereoMap]
+"""By the photo's name; a photo without stereo depth is absent."""
+
+
+def stereo_maps(depths: PhotoDepths) -> dict[str, StereoMap]:
+    """Return the maps of the photos with depth."""
+    return {
+        each.view.name: StereoMap(
+            np.where(each.depth.is_confident, each.depth.z, 0).astype(np.float32),
+            np.rint(UNIT * each.normals).astype(np.int8),
+        )
+        for each in depths.accepted
+    }
+
+
+def write_stereo_maps(run: Path, maps: StereoMaps) -> None:
+    """Write the maps to a run."""
+    arrays = {f"{name}/{field}": array for name, each in maps.items() for field, array in each._asdict().items()}
+    with atomic_path(run / FILE) as temporary:
+        np.savez_compressed(temporary, **arrays)
+
+
+def read_stereo_maps(run: Path) -> dict[str, StereoMap] | None:
+    """Return the maps of a run; None where it has none.
+
+    Raises:
+        InputError: The file is damaged.
+    """
+    if not (run / FILE).is_file():
+        return None
+    arrays = read_arrays(run / FILE)
+    names = dict.fromkeys(key.rpartition("/")[0] for key in arrays)
+    try:
+        return {name: StereoMap(*(arrays[f"{name}/{field}"] for field in StereoMap._fields)) for name in names}
+    except KeyError as fault:
+        raise InputError(f"{run / FILE}: has no {fault.args[0]}") from None
