@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
     add("--trim-quantile", type=finite, metavar="Q",
         help="share (0..1) of vertices, the least supported, to cut away; default: by the points' density")  # fmt: skip
-    add("--cell", type=finite, metavar="C", help="side of a voxel (tsdf, agreed), scene units")
+    add("--cell", type=finite, metavar="C", help="side of a voxel (tsdf), scene units")
     add("--level", type=finite, metavar="L", help="density (0..1) at which the surface lies (poisson)")
     add("--points", type=int, metavar="N", help="number of surface points to reconstruct from")
     add("--bounds", type=finite, nargs=6, metavar=BOX, help="keep only what lies in this box, scene coordinates")

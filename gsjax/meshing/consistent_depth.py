@@ -19,7 +19,8 @@ from gsjax.scene.cameras import Camera, viewmat_center
 AGREEING = 2  # Other views, at the least, that show a surface where a view shows it: one may be wrong as well.
 SHARE = 0.7  # Of the views that observe the place, those that show it; the others see through it.
 SAME_SURFACE = 0.01  # Share of the depth up to which two views show one surface,
-SAME_AS_STEREO = 0.02  # and up to which a view shows what the stereo depth of its photo does.
+PIXELS = 3.0  # or so many pixels of the other view in its place, where that is more: depths there are of pixels.
+SAME_AS_STEREO = 0.02  # Share of the depth up to which a view shows what the stereo depth of its photo does.
 FROM_ELSEWHERE = np.cos(np.radians(4.0))  # Cosine between two rays to a point: views nearer together are no evidence.
 MOST_OTHERS = 16  # Views that are compared, those that observe most of what a view shows.
 SAMPLED = 200  # Points of a view by which these are chosen.
@@ -65,8 +66,8 @@ def consistent_pictures(
     """The same pictures, with depth where it is consistent and nothing elsewhere.
 
     Where a photo has stereo depth, the rendered depth is the same up to `SAME_AS_STEREO`. Elsewhere at least `AGREEING`
-    other views, and `SHARE` of those that nothing nearer hides the place from, show a surface there, up to
-    `SAME_SURFACE` of the depth.
+    other views, or all where they are fewer, and `SHARE` of those that nothing nearer hides the place from, show a
+    surface there, up to `SAME_SURFACE` of the depth or `PIXELS`.
 
     Args:
         cameras: One camera a view.
@@ -105,11 +106,12 @@ def _agreed(view: CoarseDepth, others: Sequence[CoarseDepth]) -> np.ndarray:
         towards = points - viewmat_center(np.asarray(other.camera.viewmat, np.float64))
         cosine = np.sum(rays * towards, axis=1) / np.maximum(np.linalg.norm(towards, axis=1), 1e-30)
         # From a view to which something nearer hides the place it may be there or not.
-        looks = (there > depths * (1 - SAME_SURFACE)) & (cosine < FROM_ELSEWHERE)
+        same = max(SAME_SURFACE, PIXELS / float(other.camera.K[0, 0]))
+        looks = (there > depths * (1 - same)) & (cosine < FROM_ELSEWHERE)
         looking += looks
-        agreeing += looks & (there < depths * (1 + SAME_SURFACE))
+        agreeing += looks & (there < depths * (1 + same))
     agreed = np.zeros(view.depth.shape, bool)
-    agreed[rows, columns] = agreeing >= np.maximum(AGREEING, SHARE * looking)
+    agreed[rows, columns] = agreeing >= np.maximum(min(AGREEING, len(others)), SHARE * looking)
     return agreed
 
 

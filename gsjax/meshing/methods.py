@@ -143,22 +143,17 @@ def _poisson(options: MethodOptions, *_: object) -> Method:
     return level_set_poisson(options.sampling, options.reconstruction)
 
 
-def _agreed(options: MethodOptions, depths: DepthEvidence, ids: Sequence[int]) -> Method:
+def _tsdf(options: MethodOptions, depths: DepthEvidence, ids: Sequence[int]) -> Method:
     from gsjax.meshing.consistent_depth import of_consistent_depth
+    from gsjax.meshing.tsdf import tsdf
 
     return of_consistent_depth(
-        _tsdf(options, depths),
+        tsdf(depths.normals_of, voxel=options.cell),
         rendered=depths.rendered,
         stereo=depths.stereo,
         stereo_counts=depths.stereo_counts,
         ids=ids,
     )
-
-
-def _tsdf(options: MethodOptions, depths: DepthEvidence, *_: object) -> Method:
-    from gsjax.meshing.tsdf import tsdf
-
-    return tsdf(depths.normals_of, voxel=options.cell)
 
 
 METHODS: dict[str, MeshMethod] = {
@@ -168,16 +163,11 @@ METHODS: dict[str, MeshMethod] = {
         options=frozenset({"points", "depth", "trim_quantile", "level"}),
         needs=frozenset({"owners"}),
     ),
-    "agreed": MeshMethod(
-        "fusion of the rendered depth where other views and the photos' stereo agree about it",
-        _agreed,
-        options=frozenset({"cell"}),
-        needs=frozenset({"photos"}),
-    ),
     "tsdf": MeshMethod(
-        "fusion of the rendered depth, open where no view shows a surface",
+        "fusion of the rendered depth where other views and the photos' stereo agree about it, open elsewhere",
         _tsdf,
         options=frozenset({"cell"}),
+        needs=frozenset({"photos"}),
     ),
 }
 """By name; `auto` tries them in this order."""

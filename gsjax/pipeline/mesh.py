@@ -75,7 +75,7 @@ def mesh(
         points: Most surface points ("poisson"). None: an eighth of the pixels, 200,000 to 10 million.
         depth: Of the Poisson octree (the same). None: chosen from the sizes of the Gaussians.
         trim_quantile: Share of the least supported vertices to cut away (the same). None: adaptive.
-        cell: Side of a voxel ("tsdf", "agreed"), scene units. None: from the Gaussians.
+        cell: Side of a voxel ("tsdf"), scene units. None: from the Gaussians.
         bounds: x0 y0 z0 x1 y1 z1 of the box to keep, scene coordinates. None: around the points; the rest, up to four
             times that size, is a background with a coarser surface of its own.
         background_bounds: The same of a background around `bounds`.
@@ -109,8 +109,7 @@ def mesh(
     result, data = _open(Path(source), scene, with_photos=photo_refine or len(methods) > 1 or "photos" in needs)
     request = _to_local(request, result)
 
-    several_passes = len(methods) > 1 or fill_holes
-    views, floaters = MeshViews(result, data, with_owners="owners" in needs, several_passes=several_passes), None
+    views, floaters = MeshViews(result, data, with_owners="owners" in needs), None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
         views, floaters = views.without_floaters()
     name, tried = _select(methods, request, views)

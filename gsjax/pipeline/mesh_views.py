@@ -1,4 +1,4 @@
-"""The training views of a result, as mesh methods read them: each is rendered once."""
+"""The training views of a result, as mesh methods read them: each is rendered once, if memory allows."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -44,16 +44,15 @@ class StoredPicture(NamedTuple):
 class MeshViews:
     """What the training views show, each thing computed once, when a method reads it."""
 
-    def __init__(self, result: Result, data: Scene | None, *, with_owners: bool, several_passes: bool):
+    def __init__(self, result: Result, data: Scene | None, *, with_owners: bool):
         """Render nothing yet.
 
         Args:
             result: Whose training views.
             data: Its data set. None: its photos are not available.
             with_owners: Whether pictures have owners.
-            several_passes: Whether the pictures are read more than once. They are then stored, if memory allows.
         """
-        self.result, self.data, self.with_owners, self.several_passes = result, data, with_owners, several_passes
+        self.result, self.data, self.with_owners = result, data, with_owners
         self.training = [index for index, held_out in enumerate(result.held_out) if not held_out]
         self.cameras = [result.cameras[index] for index in self.training]
         self.ids: Sequence[int] = range(len(self.training))
@@ -74,8 +73,7 @@ class MeshViews:
         if not hang.any():
             return self, 0
         result = replace(self.result, gaussians=take(self.result.gaussians, ~hang))
-        options = {"with_owners": self.with_owners, "several_passes": self.several_passes}
-        return MeshViews(result, self.data, **options), int(hang.sum())
+        return MeshViews(result, self.data, with_owners=self.with_owners), int(hang.sum())
 
     @cached_property
     def rendered(self) -> list[CoarseDepth]:
@@ -119,7 +117,7 @@ class MeshViews:
     @cached_property
     def _are_stored(self) -> bool:
         pixels = sum(camera.width * camera.height for camera in self.cameras)
-        return self.several_passes and BYTES_PER_PIXEL * pixels < STORED_SHARE * free_memory()
+        return BYTES_PER_PIXEL * pixels < STORED_SHARE * free_memory()
 
     @cached_property
     def _stored(self) -> list[StoredPicture]:

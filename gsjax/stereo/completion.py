@@ -31,8 +31,8 @@ class Completed(NamedTuple):
 
 class _Surface(NamedTuple):
     view: View
-    planes: np.ndarray  # [H, W, 3] of stereo and of segments; 0 where there is none
-    stereo: np.ndarray  # [H, W, 3] of stereo alone
+    planes: np.ndarray  # [H, W, 3] of depth and of segments; 0 where there is none
+    stereo: np.ndarray  # [H, W] inverse depth by stereo alone; 0 where it is unknown
 
     @property
     def normals(self) -> np.ndarray:
@@ -48,13 +48,14 @@ def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequ
         near: For every photo, the indices of those that it is compared with.
     """
     rng = np.random.default_rng(0)
-    completed = _complete_once(views, depths, near, rng)
+    stereo = [np.where(depth.is_confident, 1 / depth.z, 0) for depth in depths]
+    completed = _complete_once(views, depths, stereo, near, rng)
     for _ in range(ROUNDS - 1):
         known = [each.depth for each in completed]
         filled = [
             _filled(view, known[index], _shown(view, views, known, near[index])) for index, view in enumerate(views)
         ]
-        completed = _complete_once(views, filled, near, rng)
+        completed = _complete_once(views, filled, stereo, near, rng)
     return completed
 
 
@@ -74,9 +75,16 @@ def _shown(view: View, views: Sequence[View], depths: Sequence[Depth], others: S
 
 
 def _complete_once(
-    views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequence[int]], rng: np.random.Generator
+    views: Sequence[View],
+    depths: Sequence[Depth],
+    stereo: Sequence[np.ndarray],
+    near: Sequence[Sequence[int]],
+    rng: np.random.Generator,
 ) -> list[Completed]:
-    surfaces = [_surface(view, depth, rng) for view, depth in zip(views, depths, strict=True)]
+    surfaces = [
+        _Surface(view, _completed_planes(view, depth, rng), own)
+        for view, depth, own in zip(views, depths, stereo, strict=True)
+    ]
     normals = [surface.normals for surface in surfaces]
     completed = []
     for index, surface in enumerate(surfaces):
@@ -92,16 +100,15 @@ def _complete_once(
     return completed
 
 
-def _surface(view: View, depth: Depth, rng: np.random.Generator) -> _Surface:
-    stereo = local_planes(depth)
-    segments = segment_planes(view, stereo, rng)
+def _completed_planes(view: View, depth: Depth, rng: np.random.Generator) -> np.ndarray:
+    """`[H, W, 3]` map of planes of the depth and of the photo's segments."""
+    own = local_planes(depth)
+    segments = segment_planes(view, own, rng)
     has_plane = segments[..., 0] > 0
-    apart = np.abs(stereo[..., 0] - segments[..., 0])
+    apart = np.abs(own[..., 0] - segments[..., 0])
     known = depth.is_confident & ~(has_plane & (apart > OFF_PLANE * segments[..., 0]))
-    moves = known & has_plane & (apart < ON_PLANE * segments[..., 0])
-    kept = np.where(moves[..., None], segments, stereo) * known[..., None]
-    fills = ~depth.is_confident & has_plane & view.usable
-    return _Surface(view, np.where(fills[..., None], segments, kept), kept)
+    takes_plane = has_plane & np.where(known, apart < ON_PLANE * segments[..., 0], ~depth.is_confident & view.usable)
+    return np.where(takes_plane[..., None], segments, own * known[..., None])
 
 
 def _compare(
@@ -127,7 +134,7 @@ def _compare(
     along = np.hypot(shift[0] - x * shift[2], shift[1] - y * shift[2])
     cosine = np.sum(normals[rows, columns] @ turn.T * its_normals[row, column], axis=-1)
     same = inside & (value > 0) & (apart < SAME_DEPTH * expected) & (apart / expected * inverse * along < SAME_PIXEL)
-    stereo = other.stereo[row, column, 0]
+    stereo = other.stereo[row, column]
     maps = np.zeros((2, *surface.planes.shape[:2]), bool)
     maps[0, rows, columns] = same & (cosine > np.cos(np.radians(SAME_ANGLE)))
     maps[1, rows, columns] = inside & (stereo > 0) & (stereo < expected * (1 - BEHIND))

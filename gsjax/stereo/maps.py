@@ -10,8 +10,6 @@ from gsjax.errors import InputError
 from gsjax.io.arrays import read_arrays
 from gsjax.io.files import atomic_path
 from gsjax.io.images import cv2
-from gsjax.scene import Frame
-from gsjax.scene.cameras import Camera
 from gsjax.stereo.depths import PhotoDepths
 
 FILE = "stereo.npz"  # in the folder of a run
@@ -23,12 +21,6 @@ class StereoMap(NamedTuple):
 
     depth: np.ndarray  # [h, w] float32 camera z, scene units; 0 where it is unknown
     normals: np.ndarray  # [h, w, 3] int8, `UNIT` times the unit normal in the camera's frame, towards it; 0 the same
-
-    def camera(self, frame: Frame) -> Camera:
-        """Return the camera of the photo at the size of the map."""
-        height, width = self.depth.shape
-        K = np.diag([width / frame.width, height / frame.height, 1.0]) @ frame.K.astype(np.float64)
-        return Camera(frame.viewmat.astype(np.float64), K, width, height)
 
     def at_size(self, width: int, height: int) -> "StereoMap":
         """Return the map at another size; every pixel takes the nearest one."""

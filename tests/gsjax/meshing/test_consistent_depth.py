@@ -3,10 +3,19 @@
 import numpy as np
 import pytest
 
-from gsjax.meshing.consistent_depth import AGREEING, SAME_SURFACE, SHARE, consistent_pictures, consistent_poisson
+from gsjax.meshing.consistent_depth import (
+    AGREEING,
+    PIXELS,
+    SAME_AS_STEREO,
+    SAME_SURFACE,
+    SHARE,
+    consistent_pictures,
+    of_consistent_depth,
+)
 from gsjax.meshing.extract import extract_mesh
+from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.rendering.coarse_depths import CoarseDepth, coarse_depth
+from gsjax.rendering.coarse_depths import coarse_depth
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
 
@@ -41,10 +50,10 @@ def in_lump(x):
     return (LUMP[0] < across) & (across < LUMP[1]) & (LUMP[0] < up) & (up < LUMP[1])
 
 
-def agreed(xs, pictures, told=None):
+def agreed(xs, pictures, told=None, *, counts=False):
     cameras = [camera(x) for x in xs]
     shown = list(map(coarse_depth, cameras, pictures))
-    return list(consistent_pictures(cameras, pictures, shown, told or {}))
+    return list(consistent_pictures(cameras, pictures, shown, told or {}, stereo_counts=counts))
 
 
 XS = APART * np.arange(-2, 3)
@@ -86,7 +95,8 @@ def test_a_lump_that_all_show_stays():
 def test_how_near_two_depths_of_one_surface_are(off, stays):
     """The middle view has the wall nearer or farther than all others have it."""
     pictures = [picture(x) for x in XS]
-    pictures[2] = pictures[2]._replace(depth=pictures[2].depth * np.float32(1 + off * SAME_SURFACE))
+    same = max(SAME_SURFACE, PIXELS / FOCAL)
+    pictures[2] = pictures[2]._replace(depth=pictures[2].depth * np.float32(1 + off * same))
     assert (agreed(XS, pictures)[2].depth > 0).all() == stays
     assert (agreed(XS, pictures)[2].depth > 0).any() == stays
 
@@ -96,25 +106,33 @@ def test_views_side_by_side_confirm_nothing():
     assert not any(new.depth.any() for new in agreed(xs, [picture(x) for x in xs]))
 
 
-def test_what_a_photo_tells_takes_the_place_of_the_rendered_depth():
-    """Told at half the size in the left half of the middle view: all others show the wall behind it."""
+@pytest.mark.parametrize("counts", [True, False])
+def test_stereo_depth_that_contradicts_the_rendered_one_takes_its_place_or_removes_it(counts):
+    """Known at half the size in the left half of the middle view: all others show the wall behind it."""
     depth = np.zeros((HEIGHT // 2, WIDTH // 2), np.float32)
     depth[:, : WIDTH // 4] = NEARER
-    halved = np.float32([[0.5], [0.5], [1]]) * np.asarray(camera(0.0).K)
-    told = CoarseDepth(Camera(camera(0.0).viewmat, halved, WIDTH // 2, HEIGHT // 2), depth)
-    found = agreed(XS, [picture(x) for x in XS], {2: told})[2]
-    left = np.s_[:, : WIDTH // 2]
-    np.testing.assert_array_equal(found.depth[left], NEARER)
-    np.testing.assert_array_equal(found.alphas[left], 1)
-    right = np.s_[:, WIDTH // 2 + 1 :]
+    found = agreed(XS, [picture(x) for x in XS], {2: depth}, counts=counts)[2]
+    left, right = np.s_[:, : WIDTH // 2], np.s_[:, WIDTH // 2 + 1 :]
+    np.testing.assert_array_equal(found.depth[left], NEARER if counts else 0)
+    np.testing.assert_array_equal(found.alphas[left], np.float32(1 if counts else 0.9))
     np.testing.assert_array_equal(found.depth[right], WALL)
     np.testing.assert_array_equal(found.alphas[right], np.float32(0.9))
+
+
+@pytest.mark.parametrize(("off", "stays"), [(0.8, True), (-0.8, True), (1.2, False), (-1.2, False)])
+def test_stereo_depth_confirms_what_no_other_view_shows(off, stays):
+    told = np.full((HEIGHT, WIDTH), WALL, np.float32)
+    shown = picture(XS[0])
+    shown = shown._replace(depth=shown.depth * np.float32(1 + off * SAME_AS_STEREO))
+    (found,) = agreed(XS[:1], [shown], {0: told})
+    np.testing.assert_array_equal(found.depth, shown.depth if stays else 0)
 
 
 def test_the_mesh_of_a_ball_is_a_ball(ball):
     cameras, pictures = ball.views
     shown = list(map(coarse_depth, cameras, pictures))
-    method = consistent_poisson(smoothed_depth_normals, 100_000, rendered=shown, stereo={})
+    fusion = tsdf(smoothed_depth_normals, voxel=0.06)
+    method = of_consistent_depth(fusion, rendered=shown, stereo={}, stereo_counts=False)
     mesh, report = extract_mesh(ball.gaussians, cameras, pictures, method=method)
     assert np.quantile(np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1), 0.99) < 0.05
     assert report["seen"]["photos_that_tell"] == 0

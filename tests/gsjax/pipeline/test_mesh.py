@@ -1,5 +1,6 @@
 """A 3DGS file that was not trained here becomes a mesh, by every method; options out of range are one line."""
 
+import shutil
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -22,14 +23,15 @@ from gsjax.meshing.select_method import Witness
 from gsjax.meshing.silhouettes import Silhouette
 from gsjax.meshing.track_visibility import TrackRays
 from gsjax.meshing.tsdf import tsdf
+from gsjax.normals.from_depth import depth_normals, smoothed_depth_normals
 from gsjax.pipeline import mesh_views
 from gsjax.pipeline.mesh import mesh
 from gsjax.rendering import gallery
-from gsjax.rendering.coarse_depths import CoarseDepth
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.meshes import Mesh, signed_volume
+from gsjax.stereo import StereoMap, write_stereo_maps
 
 
 @pytest.fixture
@@ -88,7 +90,7 @@ def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch
     """Balls of four sizes, of which one is where the tracks end; fewer than 100 lines of sight leave it to mattes."""
     directions = np.random.default_rng(0).normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    radii, made = {"poisson": 1.1, "agreed": None, "tsdf": 1.0}, []
+    radii, made = {"poisson": 1.1, "empty": None, "tsdf": 1.0}, []
 
     def extract(gaussians, cameras, pictures, *, method, **options):
         made.append(method)
@@ -97,6 +99,7 @@ def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch
         sphere = trimesh.creation.icosphere(subdivisions=3, radius=radii[method])
         return Mesh(sphere.vertices, sphere.faces, np.full(sphere.vertices.shape, 128, np.uint8)), {}
 
+    monkeypatch.delitem(METHODS, "tsdf")
     for name in radii:
         monkeypatch.setitem(METHODS, name, MeshMethod("a sphere", lambda *_, name=name: name))
     lines = TrackRays(3 * directions, 0.99 * directions)
@@ -106,7 +109,7 @@ def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch
     monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
     report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", keep_floaters=True, photo_refine=False)
     assert report["method"] == chosen
-    assert made == (["poisson", "agreed", "tsdf", "tsdf"] if chosen == "tsdf" else ["poisson"])
+    assert made == (["poisson", "empty", "tsdf", "tsdf"] if chosen == "tsdf" else ["poisson"])
     assert {name: one[agrees] > 0.9 for name, one in report["tried"].items()} == (
         {"poisson": False, "tsdf": True} if chosen == "tsdf" else {}
     )
@@ -121,6 +124,11 @@ def outline_of_a_ball(radius):
     K = np.float32([[300, 0, size / 2], [0, 300, size / 2], [0, 0, 1]])
     y, x = (np.mgrid[:size, :size] + 0.5 - size / 2) / 300
     return Silhouette(viewmat, K, np.hypot(x, y) < np.tan(np.arcsin(radius / 5)), np.ones((size, size), bool))
+
+
+def fused(gaussians, cameras, pictures):
+    """Fusion by normals that are not smoothed: the lump is ten pixels wide."""
+    return tsdf(lambda depth, _, camera: depth_normals(depth, camera))(gaussians, cameras, pictures)
 
 
 LUMP = np.array([0.0, 0.0, 1.6])  # Its middle, above the ball; its radius is 0.35.
@@ -153,7 +161,7 @@ def lumpy(ball, tmp_path_factory):
 
 def test_where_photos_are_masked_no_triangle_grows(lumpy, tmp_path):
     def near_lump(name):
-        mesh(lumpy[name], tmp_path / f"{name}.ply", method="tsdf")
+        mesh(lumpy[name], tmp_path / f"{name}.ply", method=fused)
         found = read_mesh(tmp_path / f"{name}.ply")
         assert np.sum(np.linalg.norm(found.vertices, axis=1) < 1.15) > 500  # the ball is there
         return int(np.sum(np.linalg.norm(found.vertices - LUMP, axis=1) < 0.5))
@@ -163,21 +171,30 @@ def test_where_photos_are_masked_no_triangle_grows(lumpy, tmp_path):
 
 
 def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch, capsys):
-    """The ball's photos are black: instead, three of its ten views are of photos that tell depth."""
+    """The ball's photos are black: instead, three of its ten views are of photos with stereo depth."""
     result = open_result(lumpy["unmasked"])
     result = replace(result, held_out=tuple(index == 4 for index in range(10)))
-    empty = CoarseDepth(result.cameras[0], np.zeros((2, 2), np.float32))
+    told = {f"{n}.png": StereoMap(np.full((2, 2), n, np.float32), np.zeros((2, 2, 3), np.int8)) for n in (2, 5, 9)}
 
-    def told_by(data, most):
+    def depths(data, most):
         assert data == "of the photos" and most == 100
-        each = [SimpleNamespace(view=SimpleNamespace(name=f"{n}.png"), coarse=lambda: empty) for n in (2, 5, 9)]
-        return SimpleNamespace(accepted=each, line="3 of 9 photos")
+        return SimpleNamespace(line="3 of 9 photos")
 
-    monkeypatch.setattr(mesh_views, "depths_of_photos", told_by)
-    views = partial(mesh_views.MeshViews, with_owners=False, several_passes=True)
-    assert views(result, "of the photos").stereo == {2: empty, 4: empty, 8: empty}
+    monkeypatch.setattr(mesh_views, "depths_of_photos", depths)
+    monkeypatch.setattr(mesh_views, "stereo_maps", lambda _: told)
+    views = partial(mesh_views.MeshViews, with_owners=False)
+    assert {index: depth[0, 0] for index, depth in views(result, "of the photos").stereo.items()} == {2: 2, 4: 5, 8: 9}
     assert capsys.readouterr().err == "mesh: depth that photos agree about: 3 of 9 photos\n"
-    assert views(result, None).stereo == {}
+    assert views(result, None).stereo == {} and views(result, None).stereo_counts
+
+
+def test_the_stereo_depth_that_supervised_a_run_is_read_from_it(lumpy, tmp_path):
+    run = shutil.copytree(lumpy["unmasked"], tmp_path / "run")
+    depth = np.array([[0, 2.5]], np.float32)
+    write_stereo_maps(run, {"3.png": StereoMap(depth, np.zeros((1, 2, 3), np.int8))})
+    views = mesh_views.MeshViews(open_result(run), None, with_owners=False)
+    assert list(views.stereo) == [3] and not views.stereo_counts
+    np.testing.assert_array_equal(views.stereo[3], depth)
 
 
 def test_auto_renders_each_view_once_and_extracts_at_full_size_once(lumpy, tmp_path, monkeypatch):
@@ -208,19 +225,19 @@ def test_auto_renders_each_view_once_and_extracts_at_full_size_once(lumpy, tmp_p
     monkeypatch.setattr(mesh_views, "are_floaters", lambda gaussians, views: hang)
     monkeypatch.setitem(mesh.__globals__, "FEWEST_TRIED", 2)
     monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
-    shares = iter([0.5, 0.9, 0.4])
+    shares = iter([0.5, 0.9])
     witness = Witness("what is known", lambda mesh: {"met": next(shares)}, 0.04)
     monkeypatch.setitem(mesh.__globals__, "evidence_of", lambda *_: witness)
     report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", points=200_000, photo_refine=False)
-    assert report["method"] == "agreed" and report["floaters"] == 1
+    assert report["method"] == "tsdf" and report["floaters"] == 1
     assert rendered == [10, 10], "once more without the floaters"
-    tenth = [(name, 2, 20_000, [0, 9]) for name in ("poisson", "agreed", "tsdf")]
-    assert visited == [*tenth, ("agreed", 10, 200_000, list(range(10)))]
+    tenth = [(name, 2, 20_000, [0, 9]) for name in ("poisson", "tsdf")]
+    assert visited == [*tenth, ("tsdf", 10, 200_000, list(range(10)))]
 
 
 def test_pictures_that_memory_does_not_hold_are_rendered_again_and_are_the_same(lumpy, monkeypatch):
     result = open_result(lumpy["masked"])
-    views = [mesh_views.MeshViews(result, None, with_owners=True, several_passes=True) for _ in range(2)]
+    views = [mesh_views.MeshViews(result, None, with_owners=True) for _ in range(2)]
     stored = list(views[0].pictures([2, 5]))
     monkeypatch.setattr(mesh_views, "free_memory", lambda: 1000)
     again = list(views[1].pictures([2, 5]))
@@ -235,7 +252,7 @@ def test_pictures_that_memory_does_not_hold_are_rendered_again_and_are_the_same(
 
 def test_a_method_is_handed_in_and_named_in_the_report(file, tmp_path):
     def mine(gaussians, cameras, pictures):
-        return tsdf(voxel=0.06)(gaussians, cameras, pictures)
+        return tsdf(smoothed_depth_normals, voxel=0.06)(gaussians, cameras, pictures)
 
     report = mesh(file, tmp_path / "mesh.ply", method=mine)
     assert report["method"] == "mine"
@@ -250,7 +267,7 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
         return np.linalg.norm(np.asarray(gaussians.means) - LUMP, axis=1) < 0.5
 
     def made(**options):
-        report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="tsdf", photo_refine=False, **options)
+        report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method=fused, photo_refine=False, **options)
         found = read_mesh(tmp_path / "mesh.ply").vertices
         return report["floaters"], int(np.sum(np.linalg.norm(found - LUMP, axis=1) < 0.5))
 
@@ -264,7 +281,7 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, agreed, tsdf"),
+        ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, tsdf"),
         ({"level": 1.5}, "--level 1.5"),
         ({"trim_quantile": 1.0}, "--trim-quantile 1.0"),
         ({"points": 0}, "--points 0"),

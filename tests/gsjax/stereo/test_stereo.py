@@ -52,9 +52,15 @@ def noise(index, pixels):
     return pixels._replace(image=np.random.default_rng(index).integers(0, 256, pixels.image.shape).astype(np.uint8))
 
 
+def points_of(scene: Scene, count: int):
+    """The stereo points of a scene; None where no photo has depth."""
+    depths = depths_of_photos(scene)
+    return stereo_points(depths, count) if depths.accepted else None
+
+
 @pytest.mark.parametrize("scene", [WALL, shown(WALL, exposed)], ids=["", "exposures"])
 def test_points_lie_on_the_wall_in_its_colours(scene):
-    found = stereo_points(scene, 500)
+    found = points_of(scene, 500)
     assert found is not None and 100 < len(found.points) <= 500
     off = np.abs(found.points[:, 2])
     assert np.median(off) < 0.005 * AWAY and off.max() < 0.03 * AWAY
@@ -71,7 +77,7 @@ def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch
     landed = view.landing(WALL.points[view.matched])
     assert_close(landed.depths, np.full(len(view.matched), AWAY), rtol=1e-6, atol=0, why="poses are float32")
     assert landed.inside.all()
-    found = stereo_points(WALL, 200)
+    found = points_of(WALL, 200)
     assert found is not None and np.abs(found.points[:, 2]).max() < 0.03 * AWAY
 
 
@@ -80,15 +86,16 @@ def test_every_photo_tells_the_depth_of_the_wall():
     assert [each.view.name for each in found.accepted] == [frame.name for frame in WALL.frames]
     assert found.line.startswith("5 of 5 photos; 100% of")
     for each in found.accepted:
-        shown = each.coarse()
-        assert shown.depth.shape == (shown.camera.height, shown.camera.width) == SIZE[::-1]
-        assert 0.3 < (shown.depth > 0).mean() < 1
-        assert np.abs(shown.depth[shown.depth > 0] - AWAY).max() < 0.03 * AWAY
+        known = each.depth.is_confident
+        assert known.shape == SIZE[::-1] and 0.3 < known.mean() < 1
+        assert np.abs(each.depth.z[known] - AWAY).max() < 0.03 * AWAY
+        assert not each.normals[~known].any()
+        assert np.quantile(each.normals[known] @ [0, 0, -1], 0.05) > np.cos(np.radians(10))
     assert depths_of_photos(WALL, 3).compared == 3
 
 
 def test_what_photos_do_not_have_in_common_is_not_found():
-    assert stereo_points(shown(WALL, noise), 500) is None
+    assert points_of(shown(WALL, noise), 500) is None
 
 
 @pytest.mark.parametrize(
@@ -105,15 +112,15 @@ def test_what_photos_do_not_have_in_common_is_not_found():
     ids=["no tracks", "one photo", "no photo", "all held out", "grey", "masked", "never matched"],
 )
 def test_where_there_is_nothing_to_compare_nothing_is_found(nothing):
-    assert stereo_points(nothing, 500) is None
+    assert points_of(nothing, 500) is None
 
 
 @pytest.mark.parametrize("mask", ["matte", "valid"])
 def test_masked_pixels_have_no_say(mask):
     half = np.full(SIZE[::-1], 255, np.uint8)
     half[:, : SIZE[0] // 2] = 0
-    found = stereo_points(shown(WALL, lambda _, pixels: pixels._replace(**{mask: half})), 500)
-    whole = stereo_points(WALL, 500)
+    found = points_of(shown(WALL, lambda _, pixels: pixels._replace(**{mask: half})), 500)
+    whole = points_of(WALL, 500)
     assert found is not None and whole is not None
     assert found.points[:, 0].min() > whole.points[:, 0].min() + 0.5
 
@@ -122,7 +129,7 @@ def test_a_photo_with_a_wrong_pose_says_nothing():
     turned = WALL.frames[2].viewmat.copy()
     turned[0, 3] += 0.4
     frames = tuple(replace(f, viewmat=turned) if i == 2 else f for i, f in enumerate(WALL.frames))
-    found = stereo_points(replace(WALL, frames=frames), 500)
+    found = points_of(replace(WALL, frames=frames), 500)
     assert found is not None and "4 of 5 photos" in found.line
     assert np.quantile(np.abs(found.points[:, 2]), 0.95) < 0.03 * AWAY
 

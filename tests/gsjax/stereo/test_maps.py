@@ -1,0 +1,42 @@
+"""Stereo maps in the file of a run, and at the size of a photo."""
+
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.stereo import StereoMap, read_stereo_maps, write_stereo_maps
+
+DEPTH = np.array([[0, 2.5], [1.5, 0]], np.float32)
+NORMALS = np.zeros((2, 2, 3), np.int8)
+NORMALS[DEPTH > 0] = [0, 0, -127]
+
+
+def test_maps_come_back_to_the_bit(tmp_path):
+    maps = {"a.png": StereoMap(DEPTH, NORMALS), "deep/b.jpg": StereoMap(2 * DEPTH, NORMALS)}
+    write_stereo_maps(tmp_path, maps)
+    read = read_stereo_maps(tmp_path)
+    assert read is not None and list(read) == list(maps)
+    for name, each in maps.items():
+        np.testing.assert_array_equal(read[name].depth, each.depth)
+        np.testing.assert_array_equal(read[name].normals, each.normals)
+
+
+def test_a_run_without_maps_has_none(tmp_path):
+    assert read_stereo_maps(tmp_path) is None
+
+
+def test_a_damaged_file_is_named(tmp_path):
+    write_stereo_maps(tmp_path, {"a.png": StereoMap(DEPTH, NORMALS)})
+    file = tmp_path / "stereo.npz"
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(InputError, match=str(file)):
+        read_stereo_maps(tmp_path)
+    np.savez(file, **{"a.png/depth": DEPTH})
+    with pytest.raises(InputError, match=r"has no a\.png/normals"):
+        read_stereo_maps(tmp_path)
+
+
+def test_a_pixel_of_the_photo_takes_the_nearest_one_of_the_map():
+    larger = StereoMap(DEPTH, NORMALS).at_size(4, 6)
+    np.testing.assert_array_equal(larger.depth, DEPTH.repeat(3, axis=0).repeat(2, axis=1))
+    np.testing.assert_array_equal(larger.normals, NORMALS.repeat(3, axis=0).repeat(2, axis=1))
