@@ -164,6 +164,19 @@ def test_the_filter_scales_inconsistent_normals_and_runs_once(tilted, tmp_path):
     assert verdict["kept"] and [*verdict["photos"]] == [frame.name for frame in FRAMES]
 
 
+def test_stereo_normals_serve_where_no_maps_are_given_and_are_not_filtered(tilted, foreign, tmp_path):
+    half = np.zeros((16, 20, 3), np.int8)
+    half[:, 10:] = [0, 0, -127]
+    stereo = {FRAMES[1].name: half}
+    source = NormalSource(tmp_path / "run", None, None, FRAMES, gated=True, stereo=stereo)
+    maps = source(tilted, FRAMES)
+    assert not maps[0].any() and not maps[2].any()
+    np.testing.assert_array_equal(maps[1], half.repeat(2, axis=0).repeat(2, axis=1))
+    assert_close(source.shares_compared(FRAMES), np.ones(3))
+    given = NormalSource(tmp_path / "other", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, stereo=stereo)
+    assert all(np.any(each, axis=-1).all() for each in given(tilted, FRAMES))
+
+
 @pytest.mark.parametrize(
     ("apart", "shares", "told"),
     [

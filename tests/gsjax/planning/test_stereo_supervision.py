@@ -1,0 +1,81 @@
+"""Which stereo depth and normals supervise a run, and what a resumed run reads of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed_wall import wall
+
+from gsjax.planning import stereo_supervision as module
+from gsjax.planning.stereo_supervision import stereo_supervision
+from gsjax.presets import PRESETS
+from gsjax.settings import Schedule, Settings, Supervision
+from gsjax.stereo import PhotoDepths, StereoMap, write_stereo_maps
+
+SCENE = wall(3)
+DEPTH = np.zeros((36, 48), np.float32)
+DEPTH[:, 24:] = 3.0
+NORMALS = np.zeros((36, 48, 3), np.int8)
+NORMALS[:, 24:] = [0, 0, -127]
+MAPS = {SCENE.frames[0].name: StereoMap(DEPTH, NORMALS)}
+ASKED = Settings(supervision=Supervision(stereo=True, depth_weight=0.3))
+
+
+@pytest.fixture
+def swept(monkeypatch):
+    """Stereo that finds `MAPS`, and a list of the calls."""
+    calls = []
+
+    def depths(scene, most):
+        calls.append(most)
+        return PhotoDepths((), 3)
+
+    monkeypatch.setattr(module, "depths_of_photos", depths)
+    monkeypatch.setattr(module, "stereo_maps", lambda _: MAPS)
+    return calls
+
+
+def test_depth_is_that_of_the_photo_at_its_size_and_nothing_elsewhere(swept):
+    found = stereo_supervision(SCENE, ASKED, None)
+    assert swept == [100] and found.weights == {"measured_depth": 0.3}
+    depths = found.depths(SCENE.frames)
+    assert depths is not None
+    for scale in (1, 2):
+        (depth, trust), *others = depths(scale)
+        assert depth.shape == trust.shape == (72 // scale, 96 // scale)
+        known = np.arange(96 // scale) >= 48 // scale
+        np.testing.assert_array_equal(depth, np.broadcast_to(3 * known, depth.shape))
+        np.testing.assert_array_equal(trust, np.broadcast_to(255 * known, depth.shape))
+        assert len(others) == 2 and not any(each.any() for pair in others for each in pair)
+    np.testing.assert_array_equal(found.normals[SCENE.frames[0].name], NORMALS)
+
+
+@pytest.mark.parametrize(
+    "settings", [Settings(), ASKED.replace(schedule=Schedule(vanilla=True))], ids=["not asked for", "vanilla"]
+)
+def test_nothing_is_compared_where_nothing_asks_for_it(swept, settings):
+    found = stereo_supervision(SCENE, settings, None)
+    assert not swept and not found.maps and not found.weights and found.depths(SCENE.frames) is None
+
+
+def test_a_resumed_run_reads_its_own_maps_and_compares_nothing(swept, tmp_path):
+    write_stereo_maps(tmp_path, MAPS)
+    found = stereo_supervision(SCENE, ASKED, tmp_path)
+    assert not swept and list(found.maps) == list(MAPS) and found.weights == {"measured_depth": 0.3}
+    np.testing.assert_array_equal(found.maps[SCENE.frames[0].name].depth, DEPTH)
+
+
+def test_a_resumed_run_without_maps_has_none(swept, tmp_path):
+    found = stereo_supervision(SCENE, ASKED, tmp_path)
+    assert not swept and not found.maps and not found.weights
+
+
+def test_photos_that_were_never_matched_have_no_stereo():
+    found = stereo_supervision(replace(SCENE, tracks=None), ASKED, None)
+    assert not found.maps and not found.weights and found.depths(SCENE.frames) is None
+
+
+def test_presets_for_photos_ask_for_it_but_for_the_quickest():
+    asked = {name: preset.get("supervision", {}).get("stereo", False) for name, preset in PRESETS.items()}
+    photos = {"fast", "balanced", "accurate"}
+    assert {name for name, stereo in asked.items() if stereo} == photos
