@@ -236,6 +236,11 @@ class Supervision:
         if self.depth is None and self.depth_unit is not None:
             raise ValueError(f"depth_unit={self.depth_unit} is the unit of no maps: depth names their folder")
 
+    @property
+    def has_depth(self) -> bool:
+        """Whether the rendered depth is compared with measured depth, or with stereo's where there is any."""
+        return self.stereo or self.depth is not None
+
 
 @dataclass(frozen=True)
 class Model:

@@ -150,8 +150,9 @@ def prepare(asked: Asked, loaded: Loaded) -> Prepared:
     extent = training_extent(scene)
     measured, start = measured_depth(scene, maps), with_given_points(scene, settings.model.points)
     stereo = stereo_supervision(scene, settings, asked.out if asked.resumed else None)
-    planned = memory.plan.with_terms(stereo.weights)
-    report(measured and f"depth {measured.line}", stereo.line)
+    depths = measured.depths if measured else stereo.depths(scene.train_frames)
+    planned = memory.plan if depths else memory.plan.without("measured")
+    report(measured and f"depth {measured.line}", stereo.line if stereo.maps else _own_normals_line(planned))
     normals = NormalSource(
         asked.out,
         planned.normals,
@@ -175,7 +176,6 @@ def prepare(asked: Asked, loaded: Loaded) -> Prepared:
         **asked.pieces,
     }
     notes = {name: note for name, note in notes.items() if note}
-    depths = measured.depths if measured else stereo.depths(scene.train_frames)
     return Prepared(scene, start, extent, planned, memory.keep, normals, depths, stereo.maps, effects, notes)
 
 
@@ -209,6 +209,12 @@ def read_photos(scene: Scene, keep: Keep) -> Scene:
     return scene
 
 
+def _own_normals_line(planned: Plan) -> str | None:
+    if planned.normals is not None or "normals" not in planned.needs:
+        return None
+    return "no maps of normals (--normals): the run's own depth stands in for a network"
+
+
 def _opening_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:
     """Where the run computes and with which engine, on what, and what of the plan may surprise."""
     engine = engine_here()
@@ -217,8 +223,6 @@ def _opening_lines(planned: Plan, settings: Settings, photos_line: str) -> list[
         lines.append(f"every step leaves out {settings.schedule.dropout:.0%} of the Gaussians")
     if any(phase.rule is DENSIFICATION_RULES["adc"] for phase in planned.phases):
         lines.append(f"densification stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
-    if settings.supervision.normals is None and "normals" in planned.needs:
-        lines.append("no maps of normals (--normals): the run's own depth stands in for a network")
     return lines
 
 

@@ -1,6 +1,5 @@
 """What multi-view stereo of the photos supervises in a run: depth, and normals where no maps are given."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +10,6 @@ from gsjax.planning.measured_depth import Depths
 from gsjax.scene import Frame, Scene
 from gsjax.settings import Settings
 from gsjax.stereo import PhotoDepths, StereoMaps, depths_of_photos, read_stereo_maps, stereo_maps
-from gsjax.training.terms import weights_of_data
 
 MOST_PHOTOS = 100  # evenly spread; of more photos some have no stereo depth
 CERTAIN = 255  # confidence of depth that other photos confirm
@@ -21,7 +19,6 @@ class StereoSupervision(NamedTuple):
     """Maps by the photo's name, of which there may be none."""
 
     maps: StereoMaps
-    weights: Mapping[str, float]  # of the terms that the maps bring
     swept: PhotoDepths | None = None  # None: the maps are those of an earlier run
     line: str | None = None  # how many photos have depth
 
@@ -44,7 +41,7 @@ class StereoSupervision(NamedTuple):
         return depth, np.where(depth > 0, CERTAIN, 0).astype(np.uint8)
 
 
-NO_STEREO = StereoSupervision({}, {})
+NO_STEREO = StereoSupervision({})
 
 
 def stereo_supervision(scene: Scene, settings: Settings, run: Path | None) -> StereoSupervision:
@@ -58,9 +55,11 @@ def stereo_supervision(scene: Scene, settings: Settings, run: Path | None) -> St
     Raises:
         InputError: The tracks or the maps of the run cannot be read.
     """
-    if not settings.supervision.stereo or settings.schedule.vanilla:
+    given = settings.supervision
+    is_used = given.stereo and not settings.schedule.vanilla and (given.normals is None or given.depth is None)
+    if not is_used:
         return NO_STEREO
     swept = None if run is not None else depths_of_photos(scene, MOST_PHOTOS)
     maps = stereo_maps(swept) if swept is not None else read_stereo_maps(run) or {}
-    weights = weights_of_data("measured", settings.supervision.depth_weight) if maps else {}
-    return StereoSupervision(maps, weights, swept, swept and f"multi-view stereo supervises depth: {swept.line}")
+    what = "depth and normals" if given.normals is None else "depth"
+    return StereoSupervision(maps, swept, swept and f"multi-view stereo supervises {what}: {swept.line}")

@@ -117,6 +117,14 @@ class Plan:
             phases.append(replace(phase, terms=tuple(heaviest.values())))
         return replace(self, phases=tuple(phases))
 
+    def without(self, need: str) -> Self:
+        """The plan without the terms that need this, a word of `gsjax.training.terms.NEEDS`."""
+        phases = (
+            replace(phase, terms=tuple(each for each in phase.terms if need not in each.term.needs))
+            for phase in self.phases
+        )
+        return replace(self, phases=tuple(phases))
+
     def record(self) -> dict[str, Any]:
         """The plan as `RUN/plan.json` has it."""
         phases = [
@@ -223,7 +231,7 @@ def plan(
     phases, begin = [], 0
     for phase in settings.schedule.phases:
         wanted = _weighed(settings, phase, known)
-        if settings.supervision.depth is None and "measured" in needs(wanted):
+        if not settings.supervision.has_depth and "measured" in needs(wanted):
             named = next(each.name for each in wanted if "measured" in needs([each]))
             raise InputError(f"schedule.phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
         if "sky" in needs(wanted):
@@ -293,7 +301,7 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
 def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
     """The terms of a phase; of plain 3DGS those of the image alone."""
     everywhere = (
-        {} if settings.supervision.depth is None else weights_of_data("measured", settings.supervision.depth_weight)
+        weights_of_data("measured", settings.supervision.depth_weight) if settings.supervision.has_depth else {}
     )
     try:
         wanted = weigh_terms({**everywhere, **phase.weights}, terms)

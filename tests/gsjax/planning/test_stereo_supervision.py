@@ -11,6 +11,7 @@ from gsjax.planning.stereo_supervision import stereo_supervision
 from gsjax.presets import PRESETS
 from gsjax.settings import Schedule, Settings, Supervision
 from gsjax.stereo import PhotoDepths, StereoMap, write_stereo_maps
+from gsjax.training.plan import plan
 
 SCENE = wall(3)
 DEPTH = np.zeros((36, 48), np.float32)
@@ -37,7 +38,7 @@ def swept(monkeypatch):
 
 def test_depth_is_that_of_the_photo_at_its_size_and_nothing_elsewhere(swept):
     found = stereo_supervision(SCENE, ASKED, None)
-    assert swept == [100] and found.weights == {"measured_depth": 0.3}
+    assert swept == [100]
     depths = found.depths(SCENE.frames)
     assert depths is not None
     for scale in (1, 2):
@@ -51,31 +52,45 @@ def test_depth_is_that_of_the_photo_at_its_size_and_nothing_elsewhere(swept):
 
 
 @pytest.mark.parametrize(
-    "settings", [Settings(), ASKED.replace(schedule=Schedule(vanilla=True))], ids=["not asked for", "vanilla"]
+    "settings",
+    [
+        Settings(),
+        ASKED.replace(schedule=Schedule(vanilla=True)),
+        ASKED.replace(supervision={"normals": "folder", "depth": "depth"}),
+    ],
+    ids=["not asked for", "vanilla", "maps of both are given"],
 )
 def test_nothing_is_compared_where_nothing_asks_for_it(swept, settings):
     found = stereo_supervision(SCENE, settings, None)
-    assert not swept and not found.maps and not found.weights and found.depths(SCENE.frames) is None
+    assert not swept and not found.maps and found.depths(SCENE.frames) is None
 
 
 def test_a_resumed_run_reads_its_own_maps_and_compares_nothing(swept, tmp_path):
     write_stereo_maps(tmp_path, MAPS)
     found = stereo_supervision(SCENE, ASKED, tmp_path)
-    assert not swept and list(found.maps) == list(MAPS) and found.weights == {"measured_depth": 0.3}
+    assert not swept and list(found.maps) == list(MAPS)
     np.testing.assert_array_equal(found.maps[SCENE.frames[0].name].depth, DEPTH)
 
 
 def test_a_resumed_run_without_maps_has_none(swept, tmp_path):
     found = stereo_supervision(SCENE, ASKED, tmp_path)
-    assert not swept and not found.maps and not found.weights
+    assert not swept and not found.maps
 
 
 def test_photos_that_were_never_matched_have_no_stereo():
     found = stereo_supervision(replace(SCENE, tracks=None), ASKED, None)
-    assert not found.maps and not found.weights and found.depths(SCENE.frames) is None
+    assert not found.maps and found.depths(SCENE.frames) is None
 
 
 def test_presets_for_photos_ask_for_it_but_for_the_quickest():
     asked = {name: preset.get("supervision", {}).get("stereo", False) for name, preset in PRESETS.items()}
     photos = {"fast", "balanced", "accurate"}
     assert {name for name, stereo in asked.items() if stereo} == photos
+
+
+def test_the_term_of_depth_is_in_every_phase_until_there_is_no_depth():
+    planned = plan(ASKED)
+    weights = [{each.name: each.weight for each in phase.terms} for phase in planned.phases]
+    assert weights and all(each["measured_depth"] == 0.3 for each in weights)
+    assert "measured" in planned.needs and "measured" not in planned.without("measured").needs
+    assert planned.without("measured") == plan(Settings())
