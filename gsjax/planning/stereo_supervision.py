@@ -45,7 +45,7 @@ NO_STEREO = StereoSupervision({})
 
 
 def stereo_supervision(scene: Scene, settings: Settings, run: Path | None) -> StereoSupervision:
-    """Compute the stereo maps of the training photos, where the settings ask for them.
+    """Compute the stereo maps of the training photos, where the settings request them.
 
     Args:
         scene: The data set, its photos in memory.

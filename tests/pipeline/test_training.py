@@ -102,7 +102,7 @@ def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run
 def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene, tmp_path, monkeypatch, capsys):
     asked = []
 
-    def reversed_order(scene, planned):
+    def reversed_order(scene, planned, swept):
         asked.append(planned.max_gaussians)
         return replace(scene, points=scene.points[::-1], point_colors=scene.point_colors[::-1]), ("found some",)
 
