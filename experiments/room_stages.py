@@ -98,12 +98,12 @@ def _caster(mesh) -> Callable[[object], Surface]:
 
     cast = ray_caster(mesh)
 
-    def seen(camera) -> Surface:
+    def surface_of(camera) -> Surface:
         viewmat, K = np.asarray(camera.viewmat), np.asarray(camera.K)
         depth = depth_of_mesh(mesh, viewmat, K, camera.width, camera.height, cast=cast)
         return depth, np.asarray(depth_normals(jnp.asarray(depth, jnp.float32), camera))
 
-    return seen
+    return surface_of
 
 
 def _figures(surface: Surface, known: Surface) -> list[float]:

@@ -26,7 +26,7 @@ _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, 
 # pixels, of which the same way has half as many (experiments/results/price_on_photos.md).
 _HALF_SIZE_TERMS = {"pixel_normal": 0.1, "multi_view": 0.06, "photometric": 0.3}
 _OWN: dict[str, Any] = {
-    "supervision": {"normal_gate": True, "stereo": True},
+    "supervision": {"normal_gate": True, "stereo_weight": 0.05},
     "effects": {"names": AUTO},
     "model": {
         "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
@@ -58,7 +58,7 @@ FAST = config.merge(
 QUICK = config.merge(  # small photos and their image alone: a step takes less than half as long, one program to compile
     FAST,
     {
-        "supervision": {"stereo": False},  # it takes as long as half of the steps
+        "supervision": {"stereo_weight": 0},  # it takes as long as half of the steps
         "model": {"max_gaussians": 36_000},
         "schedule": {"sh_every": 150, "phases": [_phase("coarse", 900, image_scale=2, density_control=True)]},
         "rates": {"means": RATES["means"], "sh_rest": 1e-3},

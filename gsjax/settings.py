@@ -226,20 +226,26 @@ class Supervision:
     normal_gate: bool = False  # normals that photos of the same place contradict weigh less (`normals.consistency`)
     depth: str | None = None  # folder of measured depth, within the data set or anywhere, or "auto": as it lists them
     depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
-    stereo: bool = False  # multi-view stereo of the photos gives depth and normals where no maps do, see `gsjax.stereo`
-    depth_weight: float = 0.2  # of the term `measured_depth`, where there is such depth and a phase sets no other
+    depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
+    stereo_weight: float = 0.0  # the same of multi-view stereo (`gsjax.stereo`), whose normals serve too where no maps
+    # are given; 0: there is no stereo
 
     def __post_init__(self):
         """Check types and ranges."""
         declare_types(self)
-        check_lowest(self, depth_weight=0)
+        check_lowest(self, depth_weight=0, stereo_weight=0)
         if self.depth is None and self.depth_unit is not None:
             raise ValueError(f"depth_unit={self.depth_unit} is the unit of no maps: depth names their folder")
 
     @property
     def has_depth(self) -> bool:
         """Whether the rendered depth is compared with measured depth, or with stereo's where there is any."""
-        return self.stereo or self.depth is not None
+        return self.depth is not None or self.stereo_weight > 0
+
+    @property
+    def weight_of_depth(self) -> float:
+        """The weight of the term `measured_depth`: of measured depth, or else of stereo's."""
+        return self.stereo_weight if self.depth is None else self.depth_weight
 
 
 @dataclass(frozen=True)

@@ -50,13 +50,13 @@ def stereo_supervision(scene: Scene, settings: Settings, run: Path | None) -> St
     Args:
         scene: The data set, its photos in memory.
         settings: Of the run.
-        run: The folder of a run that goes on, whose maps are read. None: the run is new.
+        run: The folder of a resumed run, whose maps are read. None: the run is new.
 
     Raises:
         InputError: The tracks or the maps of the run cannot be read.
     """
     given = settings.supervision
-    is_used = given.stereo and not settings.schedule.vanilla and (given.normals is None or given.depth is None)
+    is_used = given.stereo_weight and not settings.schedule.vanilla and (given.normals is None or given.depth is None)
     if not is_used:
         return NO_STEREO
     swept = None if run is not None else depths_of_photos(scene, MOST_PHOTOS)

@@ -300,9 +300,8 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
 
 def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
     """The terms of a phase; of plain 3DGS those of the image alone."""
-    everywhere = (
-        weights_of_data("measured", settings.supervision.depth_weight) if settings.supervision.has_depth else {}
-    )
+    supervision = settings.supervision
+    everywhere = weights_of_data("measured", supervision.weight_of_depth) if supervision.has_depth else {}
     try:
         wanted = weigh_terms({**everywhere, **phase.weights}, terms)
     except InputError as error:

@@ -19,7 +19,7 @@ DEPTH[:, 24:] = 3.0
 NORMALS = np.zeros((36, 48, 3), np.int8)
 NORMALS[:, 24:] = [0, 0, -127]
 MAPS = {SCENE.frames[0].name: StereoMap(DEPTH, NORMALS)}
-ASKED = Settings(supervision=Supervision(stereo=True, depth_weight=0.3))
+ASKED = Settings(supervision=Supervision(stereo_weight=0.3))
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_photos_that_were_never_matched_have_no_stereo():
 
 
 def test_presets_for_photos_ask_for_it_but_for_the_quickest():
-    asked = {name: preset.get("supervision", {}).get("stereo", False) for name, preset in PRESETS.items()}
+    asked = {name: preset.get("supervision", {}).get("stereo_weight", 0) for name, preset in PRESETS.items()}
     photos = {"fast", "balanced", "accurate"}
     assert {name for name, stereo in asked.items() if stereo} == photos
 
