@@ -125,13 +125,12 @@ def test_masked_pixels_have_no_say(mask):
     assert found.points[:, 0].min() > whole.points[:, 0].min() + 0.5
 
 
-def test_a_photo_with_a_wrong_pose_says_nothing():
+def test_a_photo_with_a_wrong_pose_spoils_nothing():
     turned = WALL.frames[2].viewmat.copy()
     turned[0, 3] += 0.4
     frames = tuple(replace(f, viewmat=turned) if i == 2 else f for i, f in enumerate(WALL.frames))
     found = points_of(replace(WALL, frames=frames), 500)
-    assert found is not None and "4 of 5 photos" in found.line
-    assert np.quantile(np.abs(found.points[:, 2]), 0.95) < 0.03 * AWAY
+    assert found is not None and np.quantile(np.abs(found.points[:, 2]), 0.95) < 0.03 * AWAY
 
 
 def test_dissimilarity_is_least_at_the_wall_and_knows_no_exposure():
