@@ -45,9 +45,9 @@ def run(truth_file: str, run_folder: str, meshes: Sequence[str]) -> dict[str, di
     stages = zip(chosen, _rendered_stages(result, chosen), strict=True)
     for index, stage in tqdm(stages, total=len(chosen), desc="photos", unit="photo", leave=False):
         camera = result.cameras[index]
-        known = truth(camera)
+        true_surface = truth(camera)
         for name, surface in (stage | {file: cast(camera) for file, cast in zip(meshes, scenes, strict=True)}).items():
-            rows.setdefault(name, []).append(_figures(surface, known))
+            rows.setdefault(name, []).append(_figures(surface, true_surface))
     return {name: dict(zip(HEADS, np.nanmean(each, axis=0).tolist(), strict=True)) for name, each in rows.items()}
 
 
@@ -106,9 +106,9 @@ def _caster(mesh) -> Callable[[object], Surface]:
     return surface_of
 
 
-def _figures(surface: Surface, known: Surface) -> list[float]:
+def _figures(surface: Surface, true_surface: Surface) -> list[float]:
     depth, normals = surface
-    true_depth, true_normals = known
+    true_depth, true_normals = true_surface
     is_true = (true_depth > 0) & np.any(true_normals != 0, axis=-1)
     both = is_true & (depth > 0) & np.isfinite(depth) & np.any(normals != 0, axis=-1)
     cosines = np.abs(np.sum(normals * true_normals, axis=-1))[both]
@@ -127,13 +127,13 @@ def main() -> None:
     parser.add_argument("meshes", nargs="*", metavar="MESH")
     parser.add_argument("--json", metavar="FILE", help="also write the figures here")
     arguments = parser.parse_args()
-    found = run(arguments.truth, arguments.run, arguments.meshes)
-    rows = [[name, *(f"{each[head]:.2f}" for head in HEADS)] for name, each in found.items()]
+    figures = run(arguments.truth, arguments.run, arguments.meshes)
+    rows = [[name, *(f"{each[head]:.2f}" for head in HEADS)] for name, each in figures.items()]
     print(align_columns([["stage", *HEADS], *rows], range(1, len(HEADS) + 1)))
     if arguments.json:
         from gsjax.io import json_files
 
-        json_files.write(arguments.json, found)
+        json_files.write(arguments.json, figures)
 
 
 if __name__ == "__main__":

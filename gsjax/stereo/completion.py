@@ -51,9 +51,9 @@ def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequ
     stereo = [np.where(depth.is_confident, 1 / depth.z, 0) for depth in depths]
     completed = _complete_once(views, depths, stereo, near, rng)
     for _ in range(ROUNDS - 1):
-        known = [each.depth for each in completed]
+        current = [each.depth for each in completed]
         filled = [
-            _filled(view, known[index], _shown(view, views, known, near[index])) for index, view in enumerate(views)
+            _filled(view, current[index], _shown(view, views, current, near[index])) for index, view in enumerate(views)
         ]
         completed = _complete_once(views, filled, stereo, near, rng)
     return completed
@@ -94,9 +94,11 @@ def _complete_once(
             same, behind = _compare(surface, normals[index], surfaces[other], normals[other])
             confirmed |= same
             contradicted |= behind
-        known = confirmed & ~contradicted
-        z = 1 / np.where(known, surface.planes[..., 0], 1)
-        completed.append(Completed(Depth(z, known), np.where(known[..., None], normals[index], 0).astype(np.float32)))
+        is_known = confirmed & ~contradicted
+        z = 1 / np.where(is_known, surface.planes[..., 0], 1)
+        completed.append(
+            Completed(Depth(z, is_known), np.where(is_known[..., None], normals[index], 0).astype(np.float32))
+        )
     return completed
 
 
@@ -106,9 +108,9 @@ def _completed_planes(view: View, depth: Depth, rng: np.random.Generator) -> np.
     segments = segment_planes(view, own, rng)
     has_plane = segments[..., 0] > 0
     apart = np.abs(own[..., 0] - segments[..., 0])
-    known = depth.is_confident & ~(has_plane & (apart > OFF_PLANE * segments[..., 0]))
-    takes_plane = has_plane & np.where(known, apart < ON_PLANE * segments[..., 0], ~depth.is_confident & view.usable)
-    return np.where(takes_plane[..., None], segments, own * known[..., None])
+    is_kept = depth.is_confident & ~(has_plane & (apart > OFF_PLANE * segments[..., 0]))
+    takes_plane = has_plane & np.where(is_kept, apart < ON_PLANE * segments[..., 0], ~depth.is_confident & view.usable)
+    return np.where(takes_plane[..., None], segments, own * is_kept[..., None])
 
 
 def _compare(

@@ -27,11 +27,11 @@ REACH = 4.0  # standard deviations of a plane's pixels, as far as it is extended
 def local_planes(depth: Depth) -> np.ndarray:
     """Return `[H, W, 3]` the map of planes of confident depth: its own value, and slopes fitted around it."""
     height, width = depth.z.shape
-    known = depth.is_confident.astype(np.float64)
+    mask = depth.is_confident.astype(np.float64)
     inverse = np.where(depth.is_confident, 1 / np.where(depth.is_confident, depth.z, 1), 0)
     x, y = np.meshgrid((np.arange(width) - width / 2) / width, (np.arange(height) - height / 2) / width)
     axes = (np.ones_like(x), x, y)
-    left = np.stack([np.stack([_summed(known * a * b) for b in axes], -1) for a in axes], -2) + 1e-9 * np.eye(3)
+    left = np.stack([np.stack([_summed(mask * a * b) for b in axes], -1) for a in axes], -2) + 1e-9 * np.eye(3)
     slopes = np.linalg.solve(left, np.stack([_summed(inverse * a) for a in axes], -1)[..., None])[..., 1:, 0] / width
     return np.where(depth.is_confident[..., None], np.concatenate([inverse[..., None], slopes], axis=-1), 0)
 
@@ -74,13 +74,13 @@ def _explain(
     """Write the planes of one segment, whose pixels are given by their indices, to the result."""
     width = planes.shape[1]
     inverse = planes[..., 0].ravel()
-    known = pixels[inverse[pixels] > 0]
-    if len(known) < max(FEWEST_KNOWN, KNOWN_SHARE * len(pixels)):
+    samples = pixels[inverse[pixels] > 0]
+    if len(samples) < max(FEWEST_KNOWN, KNOWN_SHARE * len(pixels)):
         return
-    known = rng.permutation(known)[:SAMPLES]
-    places = np.stack([known % width, known // width], axis=-1) + 0.5
-    fits = _fits(places, inverse[known], rng)
-    if sum(len(on) for _, on in fits) < EXPLAINED * len(known):
+    samples = rng.permutation(samples)[:SAMPLES]
+    places = np.stack([samples % width, samples // width], axis=-1) + 0.5
+    fits = _fits(places, inverse[samples], rng)
+    if sum(len(on) for _, on in fits) < EXPLAINED * len(samples):
         return
     at = np.stack([pixels % width, pixels // width], axis=-1) + 0.5
     owner = np.repeat(np.arange(len(fits)), [len(on) for _, on in fits])
