@@ -172,6 +172,7 @@ def prepare(asked: Asked, loaded: Loaded) -> Prepared:
         "photos": loaded.line,
         "memory": "; ".join(memory.lines),
         ENTRY: sparse and asdict(sparse),
+        "stereo": stereo.line if stereo.maps else None,
         "effects": effects.evidence,
         **asked.pieces,
     }

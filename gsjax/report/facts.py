@@ -239,6 +239,8 @@ def state(run: RunFacts) -> str:
 def _normals(run: RunFacts) -> tuple[str, str]:
     if run.is_refinement or not any("normals" in phase["needs"] for phase in run.plan["phases"]):
         return "none", "no term of the loss looks at them"
+    if run.plan["normals"] is None and "stereo" in run.manifest:
+        return "of multi-view stereo", run.manifest["stereo"]
     if run.plan["normals"] is None:
         why = "no maps were given: --normals names them"
         return "of the Gaussians' own depth, smoothed", run.manifest.get("normals", why)

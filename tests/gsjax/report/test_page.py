@@ -114,9 +114,11 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["Size of the photos"] == ["reduced 2 times", "9 photos at 64x48 (taken at 128x96)"]
     assert page.cells["Photos for scoring"][0] == "4 of 9"
     assert page.cells["Normals"][0] == "of the Gaussians' own depth, smoothed"
+    runs.update_manifest(run, stereo="depth and normals of 9 of 9 photos")
+    assert Page(report(run)).cells["Normals"] == ["of multi-view stereo", "depth and normals of 9 of 9 photos"]
     assert page.cells["exposure"] == ["simulated", "0.31 EV", "0.02 EV", "0.05 EV", "a<b"]
     assert page.cells["blur"] == ["no", "-", "-", "0.05 EV", "a<b"]
-    terms = "l1 0.8, dssim 0.2, pixel_normal 0.1, multi_view 0.06, photometric 0.3, alpha 0.1"
+    terms = "l1 0.8, dssim 0.2, pixel_normal 0.1, multi_view 0.06, photometric 0.3, measured_depth 0.05, alpha 0.1"
     assert page.cells["surface"] == ["1,000", terms]
     assert page.cells["schedule.phases.2.weights.pixel_normal"] == ["0.1"]
     manifest = json_files.read(run / "manifest.json")
