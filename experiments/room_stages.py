@@ -68,7 +68,7 @@ def _rendered_stages(result, chosen: Sequence[int]) -> Iterator[dict[str, Surfac
         def of(directions, depth=depth) -> Surface:
             return depth, np.asarray(safe_normalize(jnp.asarray(directions)))
 
-        supervised = _map_of(Path(result.source), result.names[index], depth.shape)
+        supervised = _map_of(Path(result.source), result.names[index], camera)
         yield {
             **({} if supervised is None else {"normal map": of(supervised)}),
             "composited gradient": of(sdf.sdf_gradient_map(result.gaussians, view, camera)),
@@ -79,15 +79,12 @@ def _rendered_stages(result, chosen: Sequence[int]) -> Iterator[dict[str, Surfac
         }
 
 
-def _map_of(run_folder: Path, name: str, size: tuple[int, ...]) -> np.ndarray | None:
+def _map_of(run_folder: Path, name: str, camera) -> np.ndarray | None:
     """The normal map of a photo, as the run stores it; None of a held-out photo."""
-    from gsjax.io.images import read_image
+    from gsjax.runs.normal_source import read_map
 
     file = (run_folder / "normals" / name).with_suffix(".png")
-    if not file.exists():
-        return None
-    normals = read_image(file)[0].astype(np.float32) - 128
-    return normals if normals.shape[:2] == size else None
+    return read_map(file, camera).astype(np.float32) if file.exists() else None
 
 
 def _caster(mesh) -> Callable[[object], Surface]:

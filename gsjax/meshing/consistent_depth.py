@@ -79,11 +79,11 @@ def consistent_pictures(
             trained without it; else neither counts.
         ids: Of every camera, its index in `rendered`. None: the cameras are those of all views.
     """
-    asked = _others(rendered)
+    compared = _others(rendered)
     ids = range(len(rendered)) if ids is None else ids
     for index, camera, picture in zip(ids, cameras, pictures, strict=True):
         level_set.check_sizes(index, camera, picture)
-        is_shown = _enlarged(_agreed(rendered[index], [rendered[other] for other in asked[index]]), camera)
+        is_shown = _enlarged(_agreed(rendered[index], [rendered[other] for other in compared[index]]), camera)
         depth, covered = np.asarray(picture.depth), np.asarray(picture.alphas)
         if index in stereo:
             by_photo = _enlarged(stereo[index], camera)

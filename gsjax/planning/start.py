@@ -44,9 +44,9 @@ def with_stereo_points(scene: Scene, planned: Plan, depths: PhotoDepths | None =
     depths = depths_of_photos(scene) if depths is None else depths
     if not depths.accepted:
         return scene, ()
-    found = stereo_points(depths, count)
-    points = np.concatenate([scene.points, found.points])
-    return replace(scene, points=points, point_colors=np.concatenate([scene.point_colors, found.colors])), (found.line,)
+    added = stereo_points(depths, count)
+    points = np.concatenate([scene.points, added.points])
+    return replace(scene, points=points, point_colors=np.concatenate([scene.point_colors, added.colors])), (added.line,)
 
 
 def starting_points(scene: Scene, model: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -131,8 +131,8 @@ def _compare(
     column, row = (np.where(inside, axis, 0).astype(int) for axis in (x, y))
     expected = inverse / np.where(ahead, there[:, 2], 1)
     value, slope_x, slope_y = other.planes[row, column].T
-    shown = value + slope_x * (x - column - 0.5) + slope_y * (y - row - 0.5)
-    apart = np.abs(shown - expected)
+    inverse_there = value + slope_x * (x - column - 0.5) + slope_y * (y - row - 0.5)
+    apart = np.abs(inverse_there - expected)
     along = np.hypot(shift[0] - x * shift[2], shift[1] - y * shift[2])
     cosine = np.sum(normals[rows, columns] @ turn.T * its_normals[row, column], axis=-1)
     same = inside & (value > 0) & (apart < SAME_DEPTH * expected) & (apart / expected * inverse * along < SAME_PIXEL)

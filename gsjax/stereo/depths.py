@@ -83,15 +83,15 @@ def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
         for view, others in zip(tqdm(views, desc="stereo", unit="photo", leave=False), near, strict=True)
     ]
     near = [sorted({*own, *(other for other, its in enumerate(near) if i in its)}) for i, own in enumerate(near)]
-    kept = []
+    own_depths = []
     for view, depth, others in zip(views, swept, near, strict=True):
         own = depth._replace(is_confident=confirmed(view, depth, [(views[other], swept[other]) for other in others]))
         is_good = evidence(view, own, scene.points).is_good
         # A photo that its points contradict has no say; what others show of its surface may complete it all the same.
-        kept.append(own if is_good else own._replace(is_confident=np.zeros_like(own.is_confident)))
+        own_depths.append(own if is_good else own._replace(is_confident=np.zeros_like(own.is_confident)))
     accepted = (
         PhotoDepth(view, *full, evidence(view, full.depth, scene.points))
-        for view, full in zip(views, complete(views, kept, near), strict=True)
+        for view, full in zip(views, complete(views, own_depths, near), strict=True)
         if full.depth.is_confident.any()
     )
     return PhotoDepths(tuple(accepted), len(views))

@@ -10,17 +10,17 @@ from gsjax.errors import InputError
 from gsjax.io.arrays import read_arrays
 from gsjax.io.files import atomic_path
 from gsjax.io.images import cv2
+from gsjax.scene.batches import NORMAL_UNIT
 from gsjax.stereo.depths import PhotoDepths
 
 FILE = "stereo.npz"  # in the folder of a run
-UNIT = 127  # length of a normal
 
 
 class StereoMap(NamedTuple):
     """Depth and normals of one photo, of `gsjax.stereo.views.SIDE` at the most."""
 
     depth: np.ndarray  # [h, w] float32 camera z, scene units; 0 where it is unknown
-    normals: np.ndarray  # [h, w, 3] int8, `UNIT` times the unit normal in the camera's frame, towards it; 0 the same
+    normals: np.ndarray  # [h, w, 3] int8, `NORMAL_UNIT` times the unit normal, camera's frame, towards it; 0 the same
 
     def at_size(self, width: int, height: int) -> "StereoMap":
         """Return the map at another size; every pixel takes the nearest one."""
@@ -37,7 +37,7 @@ def stereo_maps(depths: PhotoDepths) -> dict[str, StereoMap]:
     return {
         each.view.name: StereoMap(
             np.where(each.depth.is_confident, each.depth.z, 0).astype(np.float32),
-            np.rint(UNIT * each.normals).astype(np.int8),
+            np.rint(NORMAL_UNIT * each.normals).astype(np.int8),
         )
         for each in depths.accepted
     }

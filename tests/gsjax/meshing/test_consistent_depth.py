@@ -111,21 +111,21 @@ def test_stereo_depth_that_contradicts_the_rendered_one_takes_its_place_or_remov
     """Known at half the size in the left half of the middle view: all others show the wall behind it."""
     depth = np.zeros((HEIGHT // 2, WIDTH // 2), np.float32)
     depth[:, : WIDTH // 4] = NEARER
-    found = agreed(XS, [picture(x) for x in XS], {2: depth}, counts=counts)[2]
+    result = agreed(XS, [picture(x) for x in XS], {2: depth}, counts=counts)[2]
     left, right = np.s_[:, : WIDTH // 2], np.s_[:, WIDTH // 2 + 1 :]
-    np.testing.assert_array_equal(found.depth[left], NEARER if counts else 0)
-    np.testing.assert_array_equal(found.alphas[left], np.float32(1 if counts else 0.9))
-    np.testing.assert_array_equal(found.depth[right], WALL)
-    np.testing.assert_array_equal(found.alphas[right], np.float32(0.9))
+    np.testing.assert_array_equal(result.depth[left], NEARER if counts else 0)
+    np.testing.assert_array_equal(result.alphas[left], np.float32(1 if counts else 0.9))
+    np.testing.assert_array_equal(result.depth[right], WALL)
+    np.testing.assert_array_equal(result.alphas[right], np.float32(0.9))
 
 
 @pytest.mark.parametrize(("off", "stays"), [(0.8, True), (-0.8, True), (1.2, False), (-1.2, False)])
 def test_stereo_depth_confirms_what_no_other_view_shows(off, stays):
-    told = np.full((HEIGHT, WIDTH), WALL, np.float32)
-    shown = picture(XS[0])
-    shown = shown._replace(depth=shown.depth * np.float32(1 + off * SAME_AS_STEREO))
-    (found,) = agreed(XS[:1], [shown], {0: told})
-    np.testing.assert_array_equal(found.depth, shown.depth if stays else 0)
+    stereo = np.full((HEIGHT, WIDTH), WALL, np.float32)
+    rendered = picture(XS[0])
+    rendered = rendered._replace(depth=rendered.depth * np.float32(1 + off * SAME_AS_STEREO))
+    (result,) = agreed(XS[:1], [rendered], {0: stereo})
+    np.testing.assert_array_equal(result.depth, rendered.depth if stays else 0)
 
 
 def test_the_mesh_of_a_ball_is_a_ball(ball):
