@@ -24,6 +24,7 @@ KINDS = {
     "Lists of photos, clouds": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_lists_and_clouds",
     "Seven files of a run": "tests/gsjax/runs/test_fuzz_runs.py::test_fuzz_the_files_of_a_run",
     "Checkpoints": "tests/gsjax/runs/test_fuzz_runs.py::test_fuzz_checkpoints",
+    "Stereo depth and normals of a run": "tests/gsjax/stereo/test_maps.py::test_fuzz_stereo_maps",
     "Records of networks": "tests/gsjax/runs/test_fuzz_runs.py::test_fuzz_records_of_networks",
     "Other JSON": "tests/gsjax/io/test_json_files.py::test_fuzz_json",
 }

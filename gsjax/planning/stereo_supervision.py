@@ -37,7 +37,7 @@ class StereoSupervision(NamedTuple):
         width, height = frame.width // scale, frame.height // scale
         if frame.name not in self.maps:
             return np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
-        depth = self.maps[frame.name].at_size(width, height).depth
+        depth = self.maps[frame.name].depth_at_size(width, height)
         return depth, np.where(depth > 0, CERTAIN, 0).astype(np.uint8)
 
 

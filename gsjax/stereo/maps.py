@@ -22,10 +22,9 @@ class StereoMap(NamedTuple):
     depth: np.ndarray  # [h, w] float32 camera z, scene units; 0 where it is unknown
     normals: np.ndarray  # [h, w, 3] int8, `NORMAL_UNIT` times the unit normal, camera's frame, towards it; 0 the same
 
-    def at_size(self, width: int, height: int) -> "StereoMap":
-        """Return the map at another size; every pixel takes the nearest one."""
-        resized = (cv2.resize(each, (width, height), interpolation=cv2.INTER_NEAREST) for each in self)
-        return StereoMap(*resized)
+    def depth_at_size(self, width: int, height: int) -> np.ndarray:
+        """Return the depth at another size; every pixel takes the nearest one."""
+        return cv2.resize(self.depth, (width, height), interpolation=cv2.INTER_NEAREST)
 
 
 StereoMaps = Mapping[str, StereoMap]
@@ -61,6 +60,20 @@ def read_stereo_maps(run: Path) -> dict[str, StereoMap] | None:
     arrays = read_arrays(run / FILE)
     names = dict.fromkeys(key.rpartition("/")[0] for key in arrays)
     try:
-        return {name: StereoMap(*(arrays[f"{name}/{field}"] for field in StereoMap._fields)) for name in names}
+        maps = {name: StereoMap(*(arrays[f"{name}/{field}"] for field in StereoMap._fields)) for name in names}
     except KeyError as fault:
         raise InputError(f"{run / FILE}: has no {fault.args[0]}") from None
+    for name, each in maps.items():
+        if not _is_map(each):
+            raise InputError(f"{run / FILE}: damaged, {name} has no depth and normals of one size")
+    return maps
+
+
+def _is_map(given: StereoMap) -> bool:
+    depth, normals = given
+    types = depth.dtype == np.float32 and normals.dtype == np.int8
+    return types and depth.size and normals.shape == (*depth.shape, 3) and depth.ndim == 2 and _is_depth(depth)
+
+
+def _is_depth(depth: np.ndarray) -> bool:
+    return bool(np.all(np.isfinite(depth) & (depth >= 0)))

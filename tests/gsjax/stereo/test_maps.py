@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fuzzing import fuzz_files
 
 from gsjax.errors import InputError
 from gsjax.stereo import StereoMap, read_stereo_maps, write_stereo_maps
@@ -36,7 +37,34 @@ def test_a_damaged_file_is_named(tmp_path):
         read_stereo_maps(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("depth", "normals"),
+    [
+        (DEPTH[0], NORMALS),
+        (DEPTH, NORMALS[:1]),
+        (DEPTH, NORMALS.astype(np.float32)),
+        (DEPTH.astype(np.float64), NORMALS),
+        (np.where(DEPTH > 2, np.nan, DEPTH), NORMALS),
+        (-DEPTH, NORMALS),
+        (DEPTH[:, :0], NORMALS[:, :0]),
+    ],
+)
+def test_arrays_that_are_no_depth_and_normals_are_refused(tmp_path, depth, normals):
+    np.savez(tmp_path / "stereo.npz", **{"a.png/depth": depth, "a.png/normals": normals})
+    with pytest.raises(InputError, match=r"stereo\.npz: damaged, a\.png has no depth and normals of one size"):
+        read_stereo_maps(tmp_path)
+
+
+def test_fuzz_stereo_maps(tmp_path):
+    write_stereo_maps(tmp_path, {name: StereoMap(DEPTH, NORMALS) for name in ("a.png", "b.png")})
+
+    def read():
+        for each in (read_stereo_maps(tmp_path) or {}).values():
+            each.depth_at_size(4, 6)
+
+    assert all(fuzz_files(read, tmp_path / "stereo.npz", usual=150))
+
+
 def test_a_pixel_of_the_photo_takes_the_nearest_one_of_the_map():
-    larger = StereoMap(DEPTH, NORMALS).at_size(4, 6)
-    np.testing.assert_array_equal(larger.depth, DEPTH.repeat(3, axis=0).repeat(2, axis=1))
-    np.testing.assert_array_equal(larger.normals, NORMALS.repeat(3, axis=0).repeat(2, axis=1))
+    larger = StereoMap(DEPTH, NORMALS).depth_at_size(4, 6)
+    np.testing.assert_array_equal(larger, DEPTH.repeat(3, axis=0).repeat(2, axis=1))
