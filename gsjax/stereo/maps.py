@@ -72,7 +72,7 @@ def read_stereo_maps(run: Path) -> dict[str, StereoMap] | None:
 def _is_map(given: StereoMap) -> bool:
     depth, normals = given
     types = depth.dtype == np.float32 and normals.dtype == np.int8
-    return types and depth.size and normals.shape == (*depth.shape, 3) and depth.ndim == 2 and _is_depth(depth)
+    return types and depth.ndim == 2 and depth.size > 0 and normals.shape == (*depth.shape, 3) and _is_depth(depth)
 
 
 def _is_depth(depth: np.ndarray) -> bool:
