@@ -49,7 +49,7 @@ LAYERS = {
         ("vocabulary", "io"),
         ("jax", "numpy", "scipy", "tqdm", "open3d", "trimesh", "xatlas", "PIL"),
     ),
-    "runs": Layer(("gsjax.runs",), (*CORE, "io", "meshing"), ("jax", "numpy", "tqdm")),
+    "runs": Layer(("gsjax.runs",), (*CORE, "io", "stereo", "meshing"), ("jax", "numpy", "tqdm")),
     "metrics of runs": Layer(
         tuple(f"gsjax.metrics.{name}" for name in ("lpips", "mesh_photos", "photos", "truth_maps")),
         (*CORE, *FILES),

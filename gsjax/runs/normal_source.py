@@ -25,6 +25,7 @@ from gsjax.runs.normal_filter import filter_normals, stored_disagreements
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Keep, in_memory
 from gsjax.scene.cameras import Camera
+from gsjax.stereo import witnessed_normals
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
 VIEWS_FOR_AXES = 50  # as many as are compared with their maps, 4,000 pixels each
@@ -64,7 +65,8 @@ class NormalSource:
             depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
             gated: Whether the consistency filter weights the normals, see `gsjax.runs.normal_filter`.
             stereo: Normals of multi-view stereo by the photo's name, `[h, w, 3]` int8 as `__call__` returns them. They
-                serve where no folder is given, unfiltered: other photos confirm them already.
+                serve where no folder is given, unfiltered: other photos confirm them already. Of a folder, they serve
+                for the photos whose maps the filter rejects (`gsjax.stereo.witness`).
             keep: Where the maps are to lie.
             notify: Receives lines: the axes of foreign maps and the evidence for them; the verdict of the filter.
 
@@ -76,8 +78,8 @@ class NormalSource:
         if folder is None and axes is not None:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.depth_mode: DepthReading = depth_mode
-        self.stereo = stereo if folder is None else {}
-        self.gated = gated and not self.stereo
+        self.stereo = stereo
+        self.gated = gated and (folder is not None or not stereo)
         self.keep, self.notify = keep, notify
         self.network = None if folder is None else network_of(folder)
         self.given = None if folder is None else normal_maps(folder, frames)
@@ -107,7 +109,15 @@ class NormalSource:
             share = float(np.mean(self.shares_compared(frames)))
             self.notify(line if share == 1 else f"{line}; {share:.0%} of the comparisons of neighbours are made")
 
-        return filter_normals(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, notify=notify)
+        weighted = filter_normals(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, notify=notify)
+        return list(map(self._unless_rejected, frames, read, weighted))
+
+    def _unless_rejected(self, frame: Frame, normals: np.ndarray, weighted: np.ndarray) -> np.ndarray:
+        """The weighted map of a photo; of a photo that is rejected stereo normals, and what these confirm."""
+        stereo = self.stereo.get(frame.name)
+        if stereo is None or weighted.any():
+            return weighted
+        return self.keep(witnessed_normals(normals, stereo, frame.pixels().image))
 
     def shares_compared(self, frames: Sequence[Frame]) -> np.ndarray:
         """`[V]` in what share of its steps each photo is compared with a neighbour, once there are maps.

@@ -8,6 +8,7 @@ right.
 from gsjax.stereo.depths import PhotoDepth, PhotoDepths, depths_of_photos
 from gsjax.stereo.maps import StereoMap, StereoMaps, read_stereo_maps, stereo_maps, write_stereo_maps
 from gsjax.stereo.points import StereoPoints, stereo_points
+from gsjax.stereo.witness import witnessed_normals
 
 __all__ = [
     "PhotoDepth",
@@ -19,5 +20,6 @@ __all__ = [
     "read_stereo_maps",
     "stereo_maps",
     "stereo_points",
+    "witnessed_normals",
     "write_stereo_maps",
 ]

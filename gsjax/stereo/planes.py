@@ -51,15 +51,18 @@ def segment_planes(view: View, planes: np.ndarray, rng: np.random.Generator) -> 
         rng: Draws the trials.
     """
     result = np.zeros_like(planes)
-    labels = _segments(view.color).ravel()
+    labels = photo_segments(view.color).ravel()
     order = np.argsort(labels, kind="stable")
     for pixels in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
         _explain(pixels, planes, result, (1 / view.farthest, 1 / view.nearest), rng)
     return result
 
 
-def _segments(color: np.ndarray) -> np.ndarray:
-    """`[H, W]` labels of a graph segmentation (Felzenszwalb and Huttenlocher 2004) of the photo without its noise."""
+def photo_segments(color: np.ndarray) -> np.ndarray:
+    """Return `[H, W]` labels of a graph segmentation (Felzenszwalb and Huttenlocher 2004) of the photo `[H, W, 3]`.
+
+    The photo is uint8; a bilateral filter removes its noise before.
+    """
     size = color[..., 0].size / SEGMENT_PIXELS
     smooth = cv2.bilateralFilter(color, 7, 20, 5)
     graph = cv2.ximgproc.segmentation.createGraphSegmentation(

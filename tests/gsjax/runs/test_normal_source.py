@@ -177,6 +177,21 @@ def test_stereo_normals_serve_where_no_maps_are_given_and_are_not_filtered(tilte
     assert all(np.any(each, axis=-1).all() for each in given(tilted, FRAMES))
 
 
+def test_of_photos_whose_given_maps_are_rejected_stereo_normals_serve(tilted, foreign, tmp_path, monkeypatch):
+    def reject_first(folder, gaussians, frames, maps, depth_mode, *, keep, notify):
+        return [np.zeros_like(maps[0]), *maps[1:]]
+
+    monkeypatch.setattr(normal_source, "filter_normals", reject_first)
+    half = np.zeros((16, 20, 3), np.int8)
+    half[:, 10:] = [0, 0, -127]
+    stereo = dict.fromkeys((FRAMES[0].name, FRAMES[1].name), half)
+    given = foreign((1, 0, 0), (1, 1, 1))
+    maps = NormalSource(tmp_path / "run", given, "+x+y+z", FRAMES, gated=True, stereo=stereo)(tilted, FRAMES)
+    np.testing.assert_array_equal(maps[0], half.repeat(2, axis=0).repeat(2, axis=1))
+    for each in maps[1:]:
+        assert (each == np.int8([127, 0, 0])).all()
+
+
 @pytest.mark.parametrize(
     ("apart", "shares", "told"),
     [
