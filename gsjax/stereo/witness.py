@@ -4,7 +4,6 @@ import numpy as np
 from scipy import ndimage
 
 from gsjax.io.images import cv2
-from gsjax.scene.batches import NORMAL_UNIT
 from gsjax.scene.meshes import unit_or_zero
 from gsjax.stereo.planes import photo_segments
 
@@ -21,12 +20,12 @@ def witnessed_normals(normals: np.ndarray, stereo: np.ndarray, color: np.ndarray
     (experiments/results/room_stages.md).
 
     Args:
-        normals: `[H, W, 3]` int8, `NORMAL_UNIT` times the unit normal of the map, camera's frame; 0 where it has none.
+        normals: `[H, W, 3]` int8, 127 times the unit normal of the map, camera's frame; 0 where it has none.
         stereo: `[h, w, 3]` int8, the same of stereo.
         color: `[H, W, 3]` uint8, the photo.
 
     Returns:
-        `[H, W, 3]` int8, `NORMAL_UNIT` times the unit normal, times its weight.
+        `[H, W, 3]` int8, 127 times the unit normal, times its weight.
     """
     height, width = normals.shape[:2]
     size = stereo.shape[1::-1]
