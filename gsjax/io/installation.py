@@ -3,7 +3,6 @@
 Only the standard library is imported here, so that a broken installation can be inspected too.
 """
 
-import importlib
 import importlib.util
 import itertools
 import operator
@@ -17,7 +16,7 @@ from importlib import metadata
 from pathlib import Path
 
 from gsjax.io.machine import free_memory
-from gsjax.io.packages import EXTRAS, remedy
+from gsjax.io.packages import EXTRAS, import_uninterrupted, remedy
 
 MODULES = {"pillow": "PIL", "pillow-heif": "pillow_heif", "opencv-contrib-python-headless": "cv2"}
 """Of packages that are not imported by their own names."""
@@ -97,7 +96,7 @@ def _check_library(name: str, bounds: str) -> Finding:
     if not _fits(installed, bounds):
         return Finding(name, False, f"{installed} does not fit {bounds}", install)
     try:
-        importlib.import_module(module)
+        import_uninterrupted(module)
     except Exception as error:  # Whatever a broken library raises while it loads.
         cause = (str(error).splitlines() or [type(error).__name__])[0]
         return Finding(name, False, f"{installed} does not load: {cause}", remedy(module, error, install))

@@ -5,7 +5,7 @@ import importlib.util
 import logging
 import signal
 import threading
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any
 
 from gsjax.errors import InputError
@@ -50,14 +50,39 @@ def require(module: str) -> ModuleType:
         MissingPackageError: It is absent. The message names the extra.
     """
     try:
-        imported = importlib.import_module(module)
+        imported = import_uninterrupted(module)
     except (ImportError, OSError) as error:
         cause, command = str(error).splitlines()[0], remedy(module, error, _install(module))
         raise MissingPackageError(f"cannot load {module} ({cause}); install it with: {command}") from error
     if module == "trimesh":  # It would print a traceback for a picture that is absent.
         logging.getLogger("trimesh").setLevel(logging.CRITICAL)
-    _restore_sigterm()
     return imported
+
+
+def import_uninterrupted(module: str) -> ModuleType:
+    """Import a module. SIGINT and SIGTERM wait until it is loaded, where a Python function handles them.
+
+    Within the import of a compiled module, the exception of a handler would become an `ImportError`.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return importlib.import_module(module)
+    arrived: list[int] = []
+
+    def wait(number: int, frame: FrameType | None) -> None:
+        arrived.append(number)
+
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number, handler in handlers.items():
+        if callable(handler):
+            signal.signal(number, wait)
+    try:
+        return importlib.import_module(module)
+    finally:
+        for number, handler in handlers.items():  # Google's log, which pycolmap loads, replaces SIGTERM's below Python.
+            if handler is not None:
+                signal.signal(number, handler)
+        for number in arrived[:1]:
+            signal.raise_signal(number)
 
 
 def check_installed(*modules: str) -> None:
@@ -85,10 +110,3 @@ def remedy(module: str, error: Exception, install: str) -> str:
 
 def _install(module: str) -> str:
     return f"pip install 'gsjax[{EXTRAS[module]}]'"
-
-
-def _restore_sigterm() -> None:
-    """Set our handler of SIGTERM again: Google's log, which pycolmap loads, replaces it below Python."""
-    handler = signal.getsignal(signal.SIGTERM)
-    if handler is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, handler)

@@ -15,7 +15,7 @@ from gsjax.meshing.regions import Region
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
-from gsjax.scene.meshes import Mesh
+from gsjax.scene.meshes import Mesh, canonical_order
 
 VOXEL_PER_SCALE = 0.75  # Voxels much smaller than the Gaussians reproduce their bumps.
 MOST_VOXELS = 512  # Along the longest side of a region, where the size is chosen.
@@ -129,11 +129,12 @@ def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:
     faces = surface.triangle.indices.numpy() if "indices" in surface.triangle else np.zeros((0, 3))
     if not len(faces):
         raise NoSurfaceError(f"no mesh: the depth of {len(views)} views leaves no surface at voxels of {voxel:.4g}")
-    return Mesh(
+    mesh = Mesh(
         vertices=surface.vertex.positions.numpy(),
         faces=faces.astype(np.int32),
         colors=to_bytes(surface.vertex.colors.numpy()),
     )
+    return canonical_order(mesh)  # Open3D's threads give another order in every run.
 
 
 def _depth_within(view: DepthView, region: Region) -> np.ndarray:

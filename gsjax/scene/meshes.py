@@ -55,3 +55,19 @@ def unit_or_zero(vectors: np.ndarray) -> np.ndarray:
     """`[..., 3]` vectors scaled to length 1; a zero vector stays zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(lengths > 0, lengths, 1)
+
+
+def canonical_order(mesh: Mesh) -> Mesh:
+    """Return the mesh in an order that depends on its surface alone.
+
+    Vertices are sorted by position, then by colour; equal ones are one. The first corner of a face has the smallest
+    index, and faces are sorted. A face that is left with two equal corners is gone.
+    """
+    rows = np.concatenate([mesh.vertices, mesh.colors.astype(mesh.vertices.dtype)], axis=1)
+    unique, number = np.unique(rows, axis=0, return_inverse=True)
+    faces = number.reshape(-1)[mesh.faces]
+    turned = faces[:, [[0, 1, 2], [1, 2, 0], [2, 0, 1]]]
+    faces = turned[np.arange(len(faces)), np.argmin(faces, axis=1)]
+    has_area = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    faces = np.unique(faces[has_area], axis=0)
+    return Mesh(unique[:, :3], faces.astype(np.int32), unique[:, 3:].astype(np.uint8))

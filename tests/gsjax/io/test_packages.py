@@ -35,3 +35,30 @@ signal.raise_signal(signal.SIGTERM)
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (7, "")
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_waits_until_a_package_is_loaded(tmp_path, name):
+    """A compiled module would turn the exception of the handler into an ImportError, as this one does."""
+    (tmp_path / "open3d.py").write_text(f"""
+import signal
+try:
+    signal.raise_signal(signal.{name})
+    loaded = True
+except BaseException:
+    raise ImportError("initialization failed") from None
+""")
+    program = f"""
+import signal, sys
+sys.path.insert(0, {str(tmp_path)!r})
+from gsjax.cli.stopping import Stopping
+from gsjax.io.packages import require
+with Stopping() as stopping:
+    try:
+        require("open3d")
+    except BaseException as stop:
+        print(type(stop).__name__, sys.modules["open3d"].loaded, stopping.signal.name)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    raised = {"SIGINT": "KeyboardInterrupt", "SIGTERM": "SystemExit"}[name]
+    assert (ended.stdout.strip(), ended.stderr) == (f"{raised} True {name}", "")
