@@ -19,12 +19,12 @@ from gsjax.scene.meshes import Mesh, canonical_order
 
 VOXEL_PER_SCALE = 0.75  # Voxels much smaller than the Gaussians reproduce their bumps.
 MOST_VOXELS = 512  # Along the longest side of a region, where the size is chosen.
-TRUNCATION = 5.0  # Voxels on both sides of the depth that a view speaks about.
+TRUNCATION = 2.0  # Voxels on both sides of the depth that a view speaks about; with more, borders grow fringes.
 BLOCK = 8  # Voxels along the side of a block, of which the grid has as many as the surface touches.
 TOUCHED = 4  # Open3D finds the blocks of a view by every fourth pixel.
 BYTES_PER_VOXEL = 20  # distance, weight and colour
 LEAST_FACING = 0.35  # Cosine between normal and ray: depth of what is seen at a flatter angle is off by much.
-SMOOTHED, STEP = 5, 0.5  # Rounds in which a vertex moves by a share of the way to its neighbours' mean.
+SMOOTHED, STEP = 8, 0.5  # Rounds in which a vertex moves by a share of the way to its neighbours' mean.
 SEEN_ONCE = 0.5  # A voxel that one view speaks about counts.
 POINTS_PER_VIEW = 2_000  # Of the depth, to choose the regions by.
 
