@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.scene.meshes import unit_or_zero
-from gsjax.stereo.planes import local_planes, segment_planes
+from gsjax.stereo.planes import local_planes, photo_segments, segment_planes
 from gsjax.stereo.views import Depth, View
 
 ROUNDS = 2
@@ -49,13 +49,14 @@ def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequ
     """
     rng = np.random.default_rng(0)
     stereo = [np.where(depth.is_confident, 1 / depth.z, 0) for depth in depths]
-    completed = _complete_once(views, depths, stereo, near, rng)
+    segments = [photo_segments(view.color) for view in views]
+    completed = _complete_once(views, segments, depths, stereo, near, rng)
     for _ in range(ROUNDS - 1):
         current = [each.depth for each in completed]
         filled = [
             _filled(view, current[index], _shown(view, views, current, near[index])) for index, view in enumerate(views)
         ]
-        completed = _complete_once(views, filled, stereo, near, rng)
+        completed = _complete_once(views, segments, filled, stereo, near, rng)
     return completed
 
 
@@ -76,14 +77,15 @@ def _shown(view: View, views: Sequence[View], depths: Sequence[Depth], others: S
 
 def _complete_once(
     views: Sequence[View],
+    segments: Sequence[np.ndarray],
     depths: Sequence[Depth],
     stereo: Sequence[np.ndarray],
     near: Sequence[Sequence[int]],
     rng: np.random.Generator,
 ) -> list[Completed]:
     surfaces = [
-        _Surface(view, _completed_planes(view, depth, rng), own)
-        for view, depth, own in zip(views, depths, stereo, strict=True)
+        _Surface(view, _completed_planes(view, labels, depth, rng), own)
+        for view, labels, depth, own in zip(views, segments, depths, stereo, strict=True)
     ]
     normals = [surface.normals for surface in surfaces]
     completed = []
@@ -102,10 +104,10 @@ def _complete_once(
     return completed
 
 
-def _completed_planes(view: View, depth: Depth, rng: np.random.Generator) -> np.ndarray:
+def _completed_planes(view: View, labels: np.ndarray, depth: Depth, rng: np.random.Generator) -> np.ndarray:
     """`[H, W, 3]` map of planes of the depth and of the photo's segments."""
     own = local_planes(depth)
-    segments = segment_planes(view, own, rng)
+    segments = segment_planes(view, labels, own, rng)
     has_plane = segments[..., 0] > 0
     apart = np.abs(own[..., 0] - segments[..., 0])
     is_kept = depth.is_confident & ~(has_plane & (apart > OFF_PLANE * segments[..., 0]))

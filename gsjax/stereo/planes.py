@@ -40,18 +40,19 @@ def _summed(values: np.ndarray) -> np.ndarray:
     return cv2.boxFilter(values, -1, (WINDOW, WINDOW), normalize=False, borderType=cv2.BORDER_CONSTANT)
 
 
-def segment_planes(view: View, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def segment_planes(view: View, labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return `[H, W, 3]` the map of planes of the photo's segments, up to `MOST_PLANES` in each.
 
     Every pixel of a segment takes the plane of the nearest pixel that lies on one, as far as that plane is known.
 
     Args:
         view: The photo.
+        labels: `[H, W]` of its segments.
         planes: `[H, W, 3]` map of its confident depth.
         rng: Draws the trials.
     """
     result = np.zeros_like(planes)
-    labels = photo_segments(view.color).ravel()
+    labels = labels.ravel()
     order = np.argsort(labels, kind="stable")
     for pixels in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
         _explain(pixels, planes, result, (1 / view.farthest, 1 / view.nearest), rng)

@@ -8,7 +8,7 @@ from photographed_wall import wall
 from tolerances import assert_close
 
 from gsjax.stereo.completion import BEHIND, OFF_PLANE, ON_PLANE, complete, plane_normals
-from gsjax.stereo.planes import TOLERANCE, local_planes, segment_planes
+from gsjax.stereo.planes import TOLERANCE, local_planes, photo_segments, segment_planes
 from gsjax.stereo.views import Depth, View, stereo_views
 
 AWAY = 3.0
@@ -65,7 +65,7 @@ def test_a_segment_without_texture_lies_on_the_plane_of_its_outline():
     wrong = rng.random((HEIGHT, WIDTH)) < 0.2
     noisy[wrong] *= rng.uniform(1.1, 1.5, wrong.sum())
     given = np.where(known[..., None], np.concatenate([noisy[..., None], halves[..., 1:]], axis=-1), 0)
-    found = segment_planes(view, given, rng)
+    found = segment_planes(view, photo_segments(view.color), given, rng)
     is_known = found[..., 0] > 0
     np.testing.assert_array_equal(is_known, np.abs(COLUMNS - WIDTH / 2) > 2, "the edge between them is of neither")
     np.testing.assert_allclose(found[is_known, 0], halves[is_known, 0], rtol=TOLERANCE / 2)
@@ -81,7 +81,8 @@ def test_a_segment_whose_depth_tells_no_plane_has_none(case):
     else:
         known[:] = {"little depth": ROWS + COLUMNS < 7, "one line": np.abs(ROWS - 36) < 2, "none": False}[case]
     view = replace(VIEWS[0], nearest=1.0, farthest=10.0)
-    assert not segment_planes(view, planes * known[..., None], np.random.default_rng(0)).any()
+    labels = photo_segments(view.color)
+    assert not segment_planes(view, labels, planes * known[..., None], np.random.default_rng(0)).any()
 
 
 def completed(depths, views: tuple[View, ...] = VIEWS):
@@ -132,6 +133,7 @@ def test_depth_near_the_plane_of_its_segment_moves_there_and_depth_off_it_goes()
     np.testing.assert_allclose(depth.z[near & shared & depth.is_confident], AWAY, rtol=1e-3)
     assert (near & depth.is_confident).sum() > 50
     known = depth.is_confident & dropped
+    assert known.sum() > 20
     assert np.abs(depth.z[known] / AWAY - 1).max(initial=0) < OFF_PLANE, "what is left there is the plane's"
 
 
