@@ -19,7 +19,7 @@ from gsjax.scene.meshes import Mesh, canonical_order
 
 VOXEL_PER_SCALE = 0.75  # Voxels much smaller than the Gaussians reproduce their bumps.
 MOST_VOXELS = 512  # Along the longest side of a region, where the size is chosen.
-TRUNCATION = 2.0  # Voxels on both sides of the depth that a view speaks about; with more, borders grow fringes.
+TRUNCATION = 3.0  # Voxels on both sides of the depth that a view speaks about: more grow fringes, fewer leave slits.
 BLOCK = 8  # Voxels along the side of a block, of which the grid has as many as the surface touches.
 TOUCHED = 4  # Open3D finds the blocks of a view by every fourth pixel.
 BYTES_PER_VOXEL = 20  # distance, weight and colour
