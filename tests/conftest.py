@@ -25,6 +25,7 @@ elif version("jaxlib").startswith("0.10."):
 
 import jax
 import pytest
+from hard_cases_page import HardCases
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -34,64 +35,7 @@ ON_DEVICE = os.environ.get("GSJAX_TEST_GPU") == "1"
 def pytest_addoption(parser):
     parser.addoption("--quick", action="store_true", help="leave out the files that compile much")
     parser.addoption("--long", action="store_true", help="the tests marked `long` as well")
-    parser.addoption("--hard-cases", metavar="FILE", help="write the errors measured on the hard cases as a table")
-
-
-COMMAND = "python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases docs/hard_cases.md"
-
-
-class HardCases:
-    """Errors by case and backend, as the tests measure them, and the page that they make."""
-
-    def __init__(self):
-        self.rows = {}
-
-    def __call__(self, case, backend, *, value, gradient, bounds):
-        self.rows.setdefault(case, {"bounds": bounds})[backend] = (float(value), float(gradient))
-
-    def _merged(self):
-        """The rows, those of Gaussians that do not show and change nothing as one of each kind, with their number."""
-        kinds, merged = {}, {}
-        for case, row in self.rows.items():
-            kind, _, hidden = case.partition("hidden: ")
-            shows = not hidden or any(any(row[name]) for name in row if name != "bounds")
-            if not shows:
-                kinds[kind] = kinds.get(kind, 0) + 1
-            merged[case if shows else kind] = row
-        return {f"{case}hidden, each of {kinds[case]}" if case in kinds else case: row for case, row in merged.items()}
-
-    def page(self):
-        from gsjax.io.machine import machine, versions
-
-        backends = ("reference", "native", "xla", "pallas")
-        lines = [
-            "# Hard cases",
-            "",
-            "Every row is rendered and differentiated in float32 by every backend and compared with the reference",
-            "in float64. The first number of a cell is the largest error of a pixel or an alpha, relative to the",
-            "largest colour. The second is the largest relative L2 error of a gradient: means, quats, scales,",
-            "opacities, colours, camera matrices, intrinsics, backgrounds. The last column has the bounds of both",
-            "that the tests assert.",
-            "",
-            "A *hidden* Gaussian must change no bit of the rest, so its errors are differences from the image",
-            "without it. *Fisheye* and *ortho* are cameras of these models, the one with a lens of four coefficients.",
-            "*Planes* are the depth of the same Gaussians with the slopes of their splats. *In front* are the",
-            "planes of the front layer alone, the default depth of training. The Pallas kernels run interpreted.",
-            "Photos without information are tested with the [effects](effects.md#hard-cases). One command",
-            "measures, asserts and writes this page:",
-            "",
-            f"    {COMMAND}",
-            "",
-            "| Case | " + " | ".join(backends) + " | Bounds |",
-            "|---" * (len(backends) + 2) + "|",
-        ]
-        for case, row in self._merged().items():
-            cells = (row.get(name, ()) for name in (*backends, "bounds"))
-            pairs = [", ".join(f"{error:.0e}" if error else "0" for error in cell) for cell in cells]
-            lines.append(f"| {case} | " + " | ".join(pairs) + " |")
-        everything = {**machine(), **versions()}
-        about = {name: everything[name] for name in ("cpu", "cores", "python", "jax", "jaxlib", "numpy", "commit")}
-        return "\n".join([*lines, "", ", ".join(f"{name} {value}" for name, value in about.items()), ""])
+    parser.addoption("--hard-cases", metavar="FILE", help="write the errors measured on the hard cases as a page")
 
 
 ERRORS = HardCases()

@@ -2,9 +2,9 @@
 
 All cases share one shape, so that each backend compiles once. The bar is never "no NaN" alone: what cannot show must
 leave every bit of the rest as if it were absent, and what can show must agree with float64. What is measured on the way
-is the table of docs/hard_cases.md:
+is the table of experiments/results/hard_cases.md, which docs/hard_cases.md summarizes:
 
-    python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases docs/hard_cases.md
+    python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases experiments/results/hard_cases.md
 
 Colours are asked of every backend; what is composited from the same blending, of all of them with --long.
 """

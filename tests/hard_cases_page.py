@@ -1,0 +1,147 @@
+"""The errors measured on the hard cases: the page of results that they make, and their summary by family."""
+
+COMMAND = (
+    "python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases experiments/results/hard_cases.md"
+)
+BACKENDS = "reference", "native", "xla", "pallas"
+HEADER = f"| Case | {' | '.join(BACKENDS)} | Bounds |"
+CAMERAS = "fisheye", "ortho"
+HIDDEN = "hidden, each of "
+ABOUT = """\
+Every row is rendered and differentiated in float32 by every backend and compared with the reference in float64. The
+first number of a cell is the largest error of a pixel or an alpha, relative to the largest colour. The second is the
+largest relative L2 error of a gradient: means, quats, scales, opacities, colours, camera matrices, intrinsics,
+backgrounds. The last column has the bounds of both that the tests assert, and the backends whose bounds differ.
+
+A *hidden* Gaussian must change no bit of the rest, so its errors are differences from the image without it. *Fisheye*
+and *ortho* are cameras of these models, the one with a lens of four coefficients. *Planes* are the depth of the same
+Gaussians with the slopes of their splats. *In front* are the planes of the front layer alone, the default depth of
+training. The Pallas kernels run interpreted."""
+FAMILIES = {
+    "ordinary Gaussians, huge colours, denormal means": ("ordinary", "nothing odd", "huge colour", "denormal mean"),
+    "degenerate rotation: zero, denormal, short, long quaternions": (
+        "zero quaternion", "denormal quaternion", "short quaternion", "long quaternion",
+    ),
+    "zero, denormal and huge scales": (
+        "one flat axis", "two flat axes", "a point", "denormal scales", "huge", "as large as float32 allows",
+    ),
+    "needles and discs of 1 : 1e6, grazing splats": (
+        "needle 1e6", "needle 1e-6", "long needle 1e6", "long needle 1e6, along x", "disc edge-on",
+        "needle along the ray", "needle past the eye", "ground at a grazing angle",
+    ),
+    "opacity 1 and 0": ("opacity 1", HIDDEN),
+    "at the near plane, behind, far, outside the image": (
+        "just past the near plane", "far away", "at the image border", "mean far outside the image", HIDDEN,
+    ),
+    "coincident and stacked Gaussians, up to 3,000": (
+        "coincident with another", "all depths coincide", "forty copies of one", "pixels that stop early",
+        "3000 on one pixel, opacity 0.005", "3000 on one pixel, opacity 0.9",
+    ),
+    "cameras: focal lengths of 0.01 and 1e6 px, one pixel, fisheye, orthographic": (
+        "focal length 0.01 px", "focal length 1e+06 px", "one pixel", *CAMERAS,
+    ),
+    "non-finite input: NaN or infinite fields": (HIDDEN,),
+}  # fmt: skip
+"""Family -> the cases that it has; all that show nothing, and all of a camera model, by one name."""
+
+
+class HardCases:
+    """Errors by case and backend, as the tests measure them, and the page that they make."""
+
+    def __init__(self):
+        self.rows = {}
+        self.bounds = {}
+
+    def __call__(self, case, backend, *, value, gradient, bounds):
+        self.rows.setdefault(case, {})[backend] = float(value), float(gradient)
+        self.bounds.setdefault(case, {}).setdefault(backend, bounds)
+
+    def _merged(self):
+        """The rows, those of Gaussians that do not show and change nothing as one of each kind, with their number."""
+        kinds, merged = {}, {}
+        for case, row in self.rows.items():
+            kind, _, hidden = case.partition("hidden: ")
+            shows = not hidden or any(any(errors) for errors in row.values())
+            if not shows:
+                kinds[kind] = kinds.get(kind, 0) + 1
+            merged[case if shows else kind] = row, self.bounds[case]
+        return {f"{case}{HIDDEN}{kinds[case]}" if case in kinds else case: row for case, row in merged.items()}
+
+    def page(self):
+        from gsjax.io.machine import machine, versions
+
+        everything = {**machine(), **versions()}
+        about = [f"{name} {everything[name]}" for name in ("cpu", "cores", "python", "jax", "jaxlib", "numpy")]
+        lines = [
+            "# Hard cases of the rasterizer",
+            "",
+            "| | |",
+            "|---|---|",
+            f"| Command | `{COMMAND}` |",
+            f"| Commit | {everything['commit']} |",
+            f"| Machine | {', '.join(about)} |",
+            "| Used in | [hard cases](../../docs/hard_cases.md) |",
+            "",
+            ABOUT,
+            "",
+            HEADER,
+            "|---" * (len(BACKENDS) + 2) + "|",
+        ]
+        for case, (errors, bounds) in self._merged().items():
+            cells = [_pair(errors.get(name, ())) for name in BACKENDS]
+            lines.append(f"| {case} | {' | '.join(cells)} | {_bounds(bounds)} |")
+        return "\n".join([*lines, ""])
+
+
+def _pair(numbers):
+    return ", ".join(f"{number:.0e}" if number else "0" for number in numbers)
+
+
+def _bounds(by_backend):
+    """The bounds of the first backend, and of each that has others."""
+    common, *_ = by_backend.values()
+    others = [f"{name} {_pair(bounds)}" for name, bounds in by_backend.items() if bounds != common]
+    return "; ".join([_pair(common), *others])
+
+
+def read_rows(page):
+    """Case -> backend -> (errors, bounds), each of value and gradient, of the text of a page that `HardCases` made."""
+    rows = {}
+    for line in page.partition(HEADER)[2].splitlines()[2:]:
+        case, *cells, bounds = (cell.strip() for cell in line.strip("|").split("|"))
+        common, *others = bounds.split("; ")
+        own = {name: text for name, _, text in (other.partition(" ") for other in others)}
+        rows[case] = {
+            name: (_numbers(cell), _numbers(own.get(name, common)))
+            for name, cell in zip(BACKENDS, cells, strict=True)
+            if cell
+        }
+    return rows
+
+
+def _numbers(text):
+    return tuple(map(float, text.split(", ")))
+
+
+def _kind(case):
+    """What `FAMILIES` calls a case."""
+    if "hidden" in case:
+        return HIDDEN
+    before, separator, name = case.rpartition(": ")
+    return before if separator and before in CAMERAS else name
+
+
+def summary(rows):
+    """A line for each measured family: its largest errors, their bounds, and whether all are below theirs."""
+    unknown = {_kind(case) for case in rows} - {kind for kinds in FAMILIES.values() for kind in kinds}
+    assert not unknown, f"of no family: {sorted(unknown)}"
+    lines = []
+    for family, kinds in FAMILIES.items():
+        cells = [cell for case, row in rows.items() if _kind(case) in kinds for cell in row.values()]
+        if not cells:
+            continue
+        worst = [max((errors[i], -bounds[i]) for errors, bounds in cells) for i in (0, 1)]
+        held = all(error < bound or error == bound == 0 for cell in cells for error, bound in zip(*cell, strict=True))
+        parts = [f"{_pair([error])} | {_pair([-bound])}" for error, bound in worst]
+        lines.append(f"| {family} | {' | '.join(parts)} | {'pass' if held else 'fail'} |")
+    return lines
