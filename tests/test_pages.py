@@ -65,7 +65,7 @@ def test_the_citation_is_of_this_version():
 
 @pytest.mark.parametrize("page", PAGES + BESIDE, ids=named)
 def test_every_setting_exists_and_takes_the_value(page):
-    kind, preset = (Refinement, {}) if page.name == "refinement.md" else (Settings, PRESETS["fast"])
+    kind, preset = (Refinement, {}) if page.name == "meshes.md" else (Settings, PRESETS["fast"])
     whole = config.to_dict(config.parse(kind, preset))
     for assignment in re.findall(r"--set (\w+(?:\.\w+)*=(?![A-Z]+\b)[\w.]+)", page.read_text()):
         config.parse(kind, config.override(whole, [assignment]))

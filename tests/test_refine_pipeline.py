@@ -164,7 +164,7 @@ def test_without_free_gaussians_those_of_the_run_need_not_be_there(place, tmp_pa
 
 
 def test_the_editing_example_of_the_docs_moves_the_gaussians_with_the_mesh(refined, tmp_path, monkeypatch):
-    (example,) = re.findall(r"```python\n(.*?)```", (DOCS / "refinement.md").read_text(), re.DOTALL)
+    (example,) = re.findall(r"```python\n(.*?)```", (DOCS / "meshes.md").read_text(), re.DOTALL)
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs/refined").symlink_to(refined.out)
     monkeypatch.chdir(tmp_path)

@@ -85,7 +85,7 @@ def bind(
         thickness: Standard deviation along the normal, scene units.
         sh_degree: Degree of the harmonics, zero above the constant band.
         opacity: Of every Gaussian, 0..1.
-        pixel_filter: How they are to be drawn; the classic one bends the geometry (docs/refinement.md).
+        pixel_filter: How they are to be drawn; the classic one bends the geometry (docs/meshes.md#refinement).
 
     Returns:
         Gaussians on the device.

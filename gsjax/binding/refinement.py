@@ -132,7 +132,7 @@ _FAST_RATES = {
     "rotations": 0.02,
     "final_share": 0.1,
 }
-PHOTO_REFINE_AT = 0.6  # Before the rates fall: colours have to follow the mesh (docs/refinement.md).
+PHOTO_REFINE_AT = 0.6  # Before the rates fall: colours have to follow the mesh (docs/meshes.md#refinement).
 _FAST = {
     "steps": 1_000,
     "faces": 30_000,
@@ -147,7 +147,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "medium": {**_SUGAR, "steps": 7_000},
     "long": {**_SUGAR, "steps": 15_000},
 }
-"""Two for a CPU, whose few steps are large (docs/refinement.md), and SuGaR's two that the paper has."""
+"""Two for a CPU, whose few steps are large (docs/meshes.md#refinement), and SuGaR's two that the paper has."""
 
 
 @jax.tree_util.register_dataclass

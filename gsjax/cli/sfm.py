@@ -16,7 +16,7 @@ ABOUT = About(
         error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
         (PHOTOS/masks) are kept. With GPS in the photos (EXIF) the scene is in metres,
         x east, y north, z up, and SCENE/place.json says about which origin. Features are SIFT's unless
-        you have the weights of a network (docs/tasks/hard_photos.md).
+        you have the weights of a network (docs/tasks/photos.md#if-too-few-features-match).
     """,
     example="gsjax sfm photos/ --out scenes/garden",
     packages=("pycolmap", "cv2"),
@@ -73,7 +73,7 @@ def small_model(report: Mapping[str, Any]) -> list[str]:
         return []
     return [
         f"only {report['registered']} of {report['images']} photos are in the model, less than half: see the"
-        " photos left out above, and docs/tasks/hard_photos.md"
+        " photos left out above, and docs/tasks/photos.md#if-too-few-features-match"
     ]
 
 

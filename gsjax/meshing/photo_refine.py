@@ -1,7 +1,7 @@
 """Photometric vertex refinement: every vertex moves along its normal to where the photos that see it agree best.
 
 Gaussians are blended in the order of their centres, so that what they paint seems to lie above them: the best fit lies
-too deep, and a mesh made from it as well (docs/surface.md). The photos have no such bias. Plane sweeping does the same
+too deep, and a mesh made from it as well (docs/meshes.md). The photos have no such bias. Plane sweeping does the same
 for depth maps (Collins 1996); here the mesh gives visibility, normals and neighbours.
 """
 

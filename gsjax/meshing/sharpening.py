@@ -1,7 +1,7 @@
 """A texture that shows in its views what they show: the mean of what they see, corrected by what it then lacks.
 
 A texel that is the mean of pixels around it is blurred twice, by the pixels' size and by reading between them. Where a
-mesh is exact that costs more than two decibels (docs/texture.md).
+mesh is exact that costs more than two decibels (docs/meshes.md#texture).
 """
 
 from collections.abc import Iterable, Sequence

@@ -173,7 +173,7 @@ def _filled_up(rows: np.ndarray) -> np.ndarray:
     return np.pad(rows, ((0, TEXELS_AT_ONCE - len(rows)), (0, 0)))
 
 
-TEXELS_PER_PIXEL = 4.0  # Two along either side: with fewer, what lies between pixels is lost (docs/texture.md).
+TEXELS_PER_PIXEL = 4.0  # Two along either side: with fewer, what lies between pixels is lost (docs/meshes.md#texture).
 TEXELS_PER_TRIANGLE = 16.0  # Room for charts and the gaps between them, where triangles are smaller than pixels.
 FILLED = 0.5  # Of the square, by charts (measured: 0.49 to 0.53).
 STEP = 256  # Sides are multiples of this.

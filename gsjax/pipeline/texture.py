@@ -17,7 +17,7 @@ from gsjax.runs.run import Run
 
 SIZES = (64, 8192)  # Browsers hold no larger texture.
 MOST_CHOSEN = 4096
-ROUNDS = 2  # Of sharpening; more bring noise (docs/texture.md).
+ROUNDS = 2  # Of sharpening; more bring noise (docs/meshes.md#texture).
 
 
 def texture(
