@@ -22,9 +22,6 @@ RATES: dict[str, float] = {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "qu
 # phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
 # (docs/deviations.md, experiments/results/mesh_terms.md).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
-# For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view` counts
-# pixels, of which the same way has half as many (experiments/results/price_on_photos.md).
-_HALF_SIZE_TERMS = {"pixel_normal": 0.1, "multi_view": 0.06, "photometric": 0.3}
 _OWN: dict[str, Any] = {
     "supervision": {"normal_gate": True, "stereo_weight": 0.05},
     "effects": {"names": AUTO},
@@ -37,24 +34,31 @@ _OWN: dict[str, Any] = {
     "rates": RATES,
     "density": {"rule": "error", "start": 50, "full_by": 0.6, "reset_every": 0},
 }
+
+
+def _fast_phases(weight_of_normals: float) -> dict[str, Any]:
+    # For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view`
+    # counts pixels, of which the same way has half as many (experiments/results/price_on_photos.md).
+    terms = {"pixel_normal": weight_of_normals, "multi_view": 0.06, "photometric": 0.3}
+    phases = [
+        _phase("coarse", 900, image_scale=2, density_control=True),
+        _phase("vanilla", 200, density_control=True),
+        _phase("surface", 1000, weights=terms, surface_every=4, surface_scale=2),
+    ]
+    return {"schedule": {"sh_every": 300, "phases": phases}}
+
+
 FAST = config.merge(
-    _OWN,
+    config.merge(_OWN, _fast_phases(0.1)),
     {
         "photos": {"cpu_pixels": 300_000},
         "model": {"max_gaussians": 60_000},
-        "schedule": {
-            "sh_every": 300,
-            "phases": [
-                _phase("coarse", 900, image_scale=2, density_control=True),
-                _phase("vanilla", 200, density_control=True),
-                _phase("surface", 1000, weights=_HALF_SIZE_TERMS, surface_every=4, surface_scale=2),
-            ],
-        },
         "rates": {"means": 1.28e-3},
         "density": {"stop": 1000},
         "logging": {"evaluate_every": 250, "checkpoint_every": 250},
     },
 )
+FAST_WITH_MAPS = config.merge(FAST, _fast_phases(0.4))  # Maps add what photos do not say (results/room_stages.md).
 QUICK = config.merge(  # small photos and their image alone: a step takes less than half as long, one program to compile
     FAST,
     {
@@ -151,8 +155,13 @@ LENGTHS = ("quick", "fast", "balanced", "accurate")
 """Of the presets, what a budget of time chooses from, the shortest first."""
 
 
+def table(name: str, *, with_maps: bool) -> dict[str, Any]:
+    """The table of a preset. With normal maps, the normal term of `fast` weighs more."""
+    return FAST_WITH_MAPS if with_maps and name == "fast" else PRESETS[name]
+
+
 def preset(name: str, differences: Mapping[str, Any] | None = None) -> Settings:
-    """The settings of a preset, with differences from it.
+    """The settings of a preset, with differences from it. Normal maps among them change weights, see `table`.
 
     Args:
         name: Of `PRESETS`.
@@ -163,4 +172,8 @@ def preset(name: str, differences: Mapping[str, Any] | None = None) -> Settings:
     """
     if name not in PRESETS:
         raise InputError(f"preset {name!r} is none of {', '.join(PRESETS)}")
-    return config.parse(Settings, config.merge(PRESETS[name], differences or {}), where=f"preset {name}")
+    changes = differences or {}
+    settings = config.parse(Settings, config.merge(PRESETS[name], changes), where=f"preset {name}")
+    if settings.supervision.normals is None:
+        return settings
+    return config.parse(Settings, config.merge(table(name, with_maps=True), changes), where=f"preset {name}")

@@ -9,7 +9,7 @@ ABOUT = About(
     description="""
         Runs a segmentation network on every photo and writes PHOTOS/masks/NAME.png: 0 where the photo
         shows one of the classes, 255 elsewhere. `gsjax sfm`, `gsjax train` and `gsjax mesh` use only
-        the rest. No weights come with gsjax: docs/tasks/masks_and_sky.md#masks-from-a-network says where to get them, under which
+        the rest. No weights come with gsjax: docs/tasks/masks_and_sky.md says where to get them, under which
         licence, and how a record describes another network.
     """,
     example="gsjax masks photos/ --network pphumanseg --weights human_segmentation_pphumanseg_2023mar.onnx",

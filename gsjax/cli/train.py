@@ -13,7 +13,7 @@ from gsjax.cli import environment
 from gsjax.cli.parsers import About, add_moved_scene, finite, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
-from gsjax.presets import LENGTHS, PRESETS
+from gsjax.presets import LENGTHS, PRESETS, table
 from gsjax.settings import Settings
 
 OPTIONS = {
@@ -202,11 +202,15 @@ def _settings(
     limit = None if budget is None else seconds(budget)
     started = Path(out) / "config.json"
     if resume and started.exists():
-        return override_settings(config.merge(runs.read_settings(out), PRESETS.get(preset or "", {})), **options)
+        stored = runs.read_settings(out)
+        has_maps = stored.get("supervision", {}).get("normals") is not None
+        return override_settings(
+            config.merge(stored, table(preset, with_maps=has_maps)) if preset else stored, **options
+        )
     if limit is None:
-        return override_settings(PRESETS[preset or "fast"], **options)
+        return training(preset or "fast", **options)
     runs.require_free(out)
-    candidates = {name: override_settings(PRESETS[name], **options) for name in ((preset,) if preset else LENGTHS)}
+    candidates = {name: training(name, **options) for name in ((preset,) if preset else LENGTHS)}
     is_set = any(one.startswith("model.max_gaussians=") for one in options.get("assignments", ()))
     lasting = pipeline.scaled if is_set else pipeline.resized
     chosen, line = pipeline.budgeted(scene, candidates, limit, lasting)
@@ -231,8 +235,11 @@ def add_training(parser: argparse.ArgumentParser, length: str) -> None:
 
 
 def training(preset: str, **options: Any) -> Settings:
-    """The settings of a preset, with the options of `TRAINING`."""
-    return override_settings(PRESETS[preset], **options)
+    """The settings of a preset, with the options of `TRAINING`; normal maps change weights (`gsjax.presets.table`)."""
+    settings = override_settings(PRESETS[preset], **options)
+    if settings.supervision.normals is None:
+        return settings
+    return override_settings(table(preset, with_maps=True), **options)
 
 
 def override_settings(base: Mapping[str, Any], assignments: Sequence[str] = (), **options: Any) -> Settings:

@@ -94,6 +94,11 @@ def test_settings_come_from_the_preset_the_options_and_set(library):
         "supervision": {"normals": "maps"},
     }
     assert settings == preset("balanced", given)
+    settings, _ = train_settings(library, "--out", "r", "--normals", "maps")
+    assert settings == preset("fast", {"supervision": {"normals": "maps"}})
+    options = ["--normals", "maps", "--set", "schedule.phases.surface.weights.pixel_normal=0.3"]
+    settings, _ = train_settings(library, "--out", "r", *options)
+    assert settings.schedule.phases[2].weights["pixel_normal"] == 0.3
     options = ["--seed", "3", "--set", "seed=4", "schedule.phases.1.steps=9", "--set", "rates.quats=1"]
     settings, _ = train_settings(library, "--out", "r", *options)
     assert (settings.seed, settings.schedule.phases[1].steps, settings.rates.quats) == (4, 9, 1.0)
@@ -148,6 +153,9 @@ def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_
     settings, keywords = train_settings(library, "--out", str(tmp_path), "--resume")
     assert settings == started
     assert keywords == {"resume": True}
+    stored = preset("fast", {"supervision": {"normals": "maps"}})
+    (tmp_path / "config.json").write_text(json.dumps(config.to_dict(stored)))
+    assert train_settings(library, "--out", str(tmp_path), "--resume", "--preset", "fast")[0] == stored
     settings, _ = train_settings(library, "--out", str(tmp_path / "new"), "--resume")
     assert settings == config.parse(Settings, PRESETS["fast"])
 

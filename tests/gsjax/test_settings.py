@@ -84,6 +84,20 @@ def test_a_value_out_of_range_is_one_line_that_says_where(difference, message):
     assert "\n" not in str(caught.value)
 
 
+def weight_of_normals(settings):
+    return settings.schedule.phases[2].weights["pixel_normal"]
+
+
+def test_normal_maps_weigh_more_in_fast_than_what_the_photos_say_themselves():
+    with_maps = preset("fast", {"supervision": {"normals": "maps"}})
+    assert (weight_of_normals(preset("fast")), weight_of_normals(with_maps)) == (0.1, 0.4)
+    own = [{"name": "a", "steps": 1, "weights": {"pixel_normal": 0.2}}]
+    given = {"supervision": {"normals": "maps"}, "schedule": {"phases": own}}
+    assert preset("fast", given).schedule.phases[0].weights["pixel_normal"] == 0.2
+    for name in PRESETS.keys() - {"fast"}:
+        assert preset(name, {"supervision": {"normals": "maps"}}).schedule == preset(name).schedule
+
+
 def test_settings_are_hashable_and_frozen():
     assert len({parse(Settings, PRESETS["accurate"]), parse(Settings, dict(PRESETS["accurate"]))}) == 1
     with pytest.raises(dataclasses.FrozenInstanceError):
