@@ -1,7 +1,7 @@
 """How the loops are compiled, and where the compiled code is kept.
 
-It is kept on disk, in a folder named by the source of this package: the next process loads it, and another version of
-the source never finds it.
+It is kept on disk, in a folder named by the source of this package and by numba's version: processes of any environment
+load it, wherever the package lies, and another version never finds it.
 """
 
 import hashlib
@@ -15,6 +15,7 @@ from typing import Any
 
 import numba
 from numba.core import config as _config
+from numba.core.caching import UserProvidedCacheLocator
 
 config: Any = _config  # Its fields are made when it is loaded.
 # Sums may be contracted and reordered, so that loops become vectors; infinities and NaN keep their meaning.
@@ -24,16 +25,26 @@ logger = logging.getLogger("rasterizer")
 
 
 def cache_folder() -> Path:
-    """The folder that NUMBA_CACHE_DIR names, else one next to the programs that XLA compiled."""
-    if config.CACHE_DIR:
-        return Path(config.CACHE_DIR)
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "gsjax" / "loops" / _source_hash()
+    """The folder of this version, in the one that NUMBA_CACHE_DIR names, else next to the programs of XLA."""
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gsjax" / "loops"
+    return (Path(config.CACHE_DIR) if config.CACHE_DIR else home) / _version_hash()
 
 
-def _source_hash() -> str:
-    sources = sorted(Path(__file__).parent.glob("*.py"))
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
+def _version_hash() -> str:
+    sources = [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
+    return hashlib.sha256(b"".join([numba.__version__.encode(), *sources])).hexdigest()[:16]
+
+
+class ByContent(UserProvidedCacheLocator):
+    """Finds a function by the name of `FOLDER`; numba's own locators ask for the path of the source as well."""
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(FOLDER)
+
+    def get_source_stamp(self) -> str:
+        """Return what decides whether the source has changed: nothing, as `FOLDER` would have another name."""
+        return ""
 
 
 def _writable_folder() -> Path | None:
@@ -62,15 +73,15 @@ def entry_point(signature: object) -> Callable:
 @contextmanager
 def disk_cache() -> Iterator[None]:
     """Functions that are defined within are stored in `FOLDER`. Logs when they are compiled for the first time."""
-    before, started = config.CACHE_DIR, time.perf_counter()
+    before, started = (config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES), time.perf_counter()
     is_first = FOLDER is None or not any(FOLDER.rglob("*.nbi"))
     if is_first:
         logger.warning("compiling the rasterizer's loops for this processor, once ...")
-    config.CACHE_DIR = str(FOLDER or "")
+    config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = str(FOLDER or ""), f"{__name__}.{ByContent.__name__}"
     try:
         yield
     finally:
-        config.CACHE_DIR = before
+        config.CACHE_DIR, config.CACHE_LOCATOR_CLASSES = before
     if is_first:
         where = f"kept in {FOLDER}" if FOLDER else "not kept, since the cache folder cannot be written"
         logger.warning("compiled in %.0f s, %s", time.perf_counter() - started, where)
