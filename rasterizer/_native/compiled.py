@@ -36,7 +36,7 @@ def _version_hash() -> str:
 
 
 class ByContent(UserProvidedCacheLocator):
-    """Finds a function by the name of `FOLDER`; numba's own locators ask for the path of the source as well."""
+    """Finds a function by the name of `FOLDER`; numba's own locators depend on the path of the source as well."""
 
     def get_cache_path(self) -> str:
         """Return the folder."""
