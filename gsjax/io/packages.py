@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 import logging
 import signal
+import sys
 import threading
 from types import FrameType, ModuleType
 from typing import Any
@@ -64,7 +65,7 @@ def import_uninterrupted(module: str) -> ModuleType:
 
     Within the import of a compiled module, the exception of a handler would become an `ImportError`.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if module in sys.modules or threading.current_thread() is not threading.main_thread():
         return importlib.import_module(module)
     arrived: list[int] = []
 
