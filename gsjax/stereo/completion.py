@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsjax.io.parallel_map import parallel_map
 from gsjax.scene.meshes import unit_or_zero
 from gsjax.stereo.planes import local_planes, photo_segments, segment_planes
 from gsjax.stereo.views import Depth, View
@@ -47,16 +48,15 @@ def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequ
         depths: Their depth, confident where another photo confirms it.
         near: For every photo, the indices of those that it is compared with.
     """
-    rng = np.random.default_rng(0)
     stereo = [np.where(depth.is_confident, 1 / depth.z, 0) for depth in depths]
-    segments = [photo_segments(view.color) for view in views]
-    completed = _complete_once(views, segments, depths, stereo, near, rng)
+    segments = list(parallel_map(lambda view: photo_segments(view.color), views))
+    completed = _complete_once(views, segments, depths, stereo, near)
     for _ in range(ROUNDS - 1):
         current = [each.depth for each in completed]
         filled = [
             _filled(view, current[index], _shown(view, views, current, near[index])) for index, view in enumerate(views)
         ]
-        completed = _complete_once(views, segments, filled, stereo, near, rng)
+        completed = _complete_once(views, segments, filled, stereo, near)
     return completed
 
 
@@ -81,27 +81,33 @@ def _complete_once(
     depths: Sequence[Depth],
     stereo: Sequence[np.ndarray],
     near: Sequence[Sequence[int]],
-    rng: np.random.Generator,
 ) -> list[Completed]:
-    surfaces = [
-        _Surface(view, _completed_planes(view, labels, depth, rng), own)
-        for view, labels, depth, own in zip(views, segments, depths, stereo, strict=True)
-    ]
+    def surface_of(index: int) -> _Surface:
+        rng = np.random.default_rng(index)  # One for each photo, as threads take turns.
+        planes = _completed_planes(views[index], segments[index], depths[index], rng)
+        return _Surface(views[index], planes, stereo[index])
+
+    surfaces = list(parallel_map(surface_of, range(len(views))))
     normals = [surface.normals for surface in surfaces]
-    completed = []
-    for index, surface in enumerate(surfaces):
-        confirmed = np.zeros(surface.planes.shape[:2], bool)
-        contradicted = np.zeros_like(confirmed)
-        for other in near[index]:
-            same, behind = _compare(surface, normals[index], surfaces[other], normals[other])
-            confirmed |= same
-            contradicted |= behind
-        is_known = confirmed & ~contradicted
-        z = 1 / np.where(is_known, surface.planes[..., 0], 1)
-        completed.append(
-            Completed(Depth(z, is_known), np.where(is_known[..., None], normals[index], 0).astype(np.float32))
-        )
-    return completed
+
+    def checked(index: int) -> Completed:
+        others = [(surfaces[other], normals[other]) for other in near[index]]
+        return _checked(surfaces[index], normals[index], others)
+
+    return list(parallel_map(checked, range(len(views))))
+
+
+def _checked(surface: _Surface, normals: np.ndarray, others: Sequence[tuple[_Surface, np.ndarray]]) -> Completed:
+    """What other photos, with their normals, confirm of a surface and none contradicts."""
+    confirmed = np.zeros(surface.planes.shape[:2], bool)
+    contradicted = np.zeros_like(confirmed)
+    for other, its_normals in others:
+        same, behind = _compare(surface, normals, other, its_normals)
+        confirmed |= same
+        contradicted |= behind
+    is_known = confirmed & ~contradicted
+    z = 1 / np.where(is_known, surface.planes[..., 0], 1)
+    return Completed(Depth(z, is_known), np.where(is_known[..., None], normals, 0).astype(np.float32))
 
 
 def _completed_planes(view: View, labels: np.ndarray, depth: Depth, rng: np.random.Generator) -> np.ndarray:
@@ -129,19 +135,21 @@ def _compare(
     ahead = there[:, 2] > 0.05  # Their depth, as a share of ours.
     x, y = (there[:, :2] / np.where(ahead, there[:, 2], 1)[:, None]).T
     height, width = theirs.gray.shape
-    inside = ahead & (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    column, row = (np.where(inside, axis, 0).astype(int) for axis in (x, y))
-    expected = inverse / np.where(ahead, there[:, 2], 1)
+    inside = np.flatnonzero(ahead & (x >= 0) & (x < width) & (y >= 0) & (y < height))
+    rows, columns, inverse, x, y = (each[inside] for each in (rows, columns, inverse, x, y))
+    column, row = x.astype(int), y.astype(int)
+    expected = inverse / there[inside, 2]
     value, slope_x, slope_y = other.planes[row, column].T
     inverse_there = value + slope_x * (x - column - 0.5) + slope_y * (y - row - 0.5)
     apart = np.abs(inverse_there - expected)
     along = np.hypot(shift[0] - x * shift[2], shift[1] - y * shift[2])
-    cosine = np.sum(normals[rows, columns] @ turn.T * its_normals[row, column], axis=-1)
-    same = inside & (value > 0) & (apart < SAME_DEPTH * expected) & (apart / expected * inverse * along < SAME_PIXEL)
+    same = (value > 0) & (apart < SAME_DEPTH * expected) & (apart / expected * inverse * along < SAME_PIXEL)
+    cosine = np.sum(normals[rows[same], columns[same]] @ turn.T * its_normals[row[same], column[same]], axis=-1)
+    same[same] = cosine > np.cos(np.radians(SAME_ANGLE))
     stereo = other.stereo[row, column]
     maps = np.zeros((2, *surface.planes.shape[:2]), bool)
-    maps[0, rows, columns] = same & (cosine > np.cos(np.radians(SAME_ANGLE)))
-    maps[1, rows, columns] = inside & (stereo > 0) & (stereo < expected * (1 - BEHIND))
+    maps[0, rows, columns] = same
+    maps[1, rows, columns] = (stereo > 0) & (stereo < expected * (1 - BEHIND))
     return maps[0], maps[1]
 
 

@@ -8,6 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
 
+from gsjax.io.parallel_map import parallel_map
 from gsjax.scene import Scene
 from gsjax.stereo.aggregation import best_planes
 from gsjax.stereo.completion import complete
@@ -77,12 +78,17 @@ def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
     views = stereo_views(scene, most)
     if len(views) < 2:
         return PhotoDepths((), len(views))
-    near = neighbors(views, scene.points)
-    swept = [
-        _swept(view, [views[other] for other in others])
-        for view, others in zip(tqdm(views, desc="stereo", unit="photo", leave=False), near, strict=True)
+    compared = neighbors(views, scene.points)
+
+    def swept_photo(index: int) -> Depth:
+        return _swept(views[index], [views[other] for other in compared[index]])
+
+    photos = parallel_map(swept_photo, range(len(views)))
+    swept = list(tqdm(photos, total=len(views), desc="stereo", unit="photo", leave=False))
+    near = [
+        sorted({*own, *(other for other, its in enumerate(compared) if index in its)})
+        for index, own in enumerate(compared)
     ]
-    near = [sorted({*own, *(other for other, its in enumerate(near) if i in its)}) for i, own in enumerate(near)]
     own_depths = []
     for view, depth, others in zip(views, swept, near, strict=True):
         own = depth._replace(is_confident=confirmed(view, depth, [(views[other], swept[other]) for other in others]))

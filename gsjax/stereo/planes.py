@@ -88,7 +88,8 @@ def _explain(
         return
     at = np.stack([pixels % width, pixels // width], axis=-1) + 0.5
     owner = np.repeat(np.arange(len(fits)), [len(on) for _, on in fits])
-    chosen = owner[KDTree(np.concatenate([places[on] for _, on in fits])).query(at)[1]]
+    lying = np.concatenate([places[on] for _, on in fits])
+    chosen = owner[KDTree(lying).query(at)[1]] if len(fits) > 1 else np.zeros(len(at), int)
     for index, (plane, on) in enumerate(fits):
         own = chosen == index
         offsets = at[own] - places[on].mean(axis=0)
