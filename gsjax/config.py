@@ -47,13 +47,13 @@ def parse_overridden(cls: type[T], data: Mapping[str, Any], assignments: Sequenc
     return parse(cls, override(whole, assignments), where="--set")
 
 
-def as_record(cls: type[T], given: T | Mapping[str, Any]) -> T:
+def as_record(cls: type[T], value: T | Mapping[str, Any]) -> T:
     """A record as it is, or parsed from a table of its fields.
 
     Raises:
         InputError: It is neither, or as in `parse`.
     """
-    return given if isinstance(given, cls) else parse(cls, given, where=cls.__name__)
+    return value if isinstance(value, cls) else parse(cls, value, where=cls.__name__)
 
 
 def parse_numbers(numbers: Mapping[str, Any], *, where: str) -> dict[str, float]:
@@ -228,9 +228,9 @@ class _Parser:
         return tuple(self.value(h, item, _join(at, i)) for i, (h, item) in enumerate(zip(hints, value, strict=True)))
 
     def unknown(self, key: str, siblings: Sequence[str]) -> InputError:
-        def likeness(known: str) -> float:
-            whole = difflib.SequenceMatcher(None, key, known).ratio()
-            last = difflib.SequenceMatcher(None, key.split(".")[-1], known.split(".")[-1]).ratio()
+        def likeness(candidate: str) -> float:
+            whole = difflib.SequenceMatcher(None, key, candidate).ratio()
+            last = difflib.SequenceMatcher(None, key.split(".")[-1], candidate.split(".")[-1]).ratio()
             return max(whole, last)
 
         candidates = [*siblings, *_dotted_keys(self.root)]

@@ -351,9 +351,9 @@ class Settings:
     density: Density = Density()
     logging: Logging = Logging()
 
-    def __new__(cls, *_: Any, **given: Any) -> Self:
+    def __new__(cls, *_: Any, **options: Any) -> Self:
         """Refuse keys that a group has now."""
-        refuse_moved(cls, given, where="Settings")
+        refuse_moved(cls, options, where="Settings")
         return super().__new__(cls)
 
     def __post_init__(self):

@@ -49,16 +49,16 @@ def sample_points(
     """
     centroids = surface.vertices[surface.faces].mean(axis=1)
     on_table = solids.in_blocks(solids.label_all, centroids) == solids.GROUND_LABEL
-    drawn = []
+    samples = []
     for faces, count in ((~on_table, num_solids), (on_table & (centroids[:, 2] > -1e-3), num_table)):
         part = Mesh(surface.vertices, surface.faces[faces], surface.colors)
-        drawn.append(sample_surface(part, count, seed))
-    starts, facing = (np.concatenate(each).astype(np.float32) for each in zip(*drawn, strict=True))
+        samples.append(sample_surface(part, count, seed))
+    starts, facing = (np.concatenate(each).astype(np.float32) for each in zip(*samples, strict=True))
     points = solids.in_blocks(_project_all, starts)
     normals = solids.in_blocks(solids.normal_all, points + np.float32(solids.BEFORE) * facing)
     at_rest = np.flatnonzero(np.abs(_distance_all(points)) < _ON_SURFACE)
-    chosen = np.random.default_rng(seed).permutation(at_rest)
-    return points[chosen], normals[chosen], chosen >= num_solids
+    order = np.random.default_rng(seed).permutation(at_rest)
+    return points[order], normals[order], order >= num_solids
 
 
 def _project_all(points: np.ndarray | Array) -> Array:

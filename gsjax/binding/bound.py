@@ -145,7 +145,7 @@ def unit_turns(rotations: Array) -> Array:
 
 def opacities(bound: BoundGaussians) -> Array:
     """`[G]` opacities in (0, 1); 0 on a collapsed triangle, which has no side to show."""
-    return _shown(bound, _frames(*matrix_rows(_corners(bound)))[3])
+    return _opacities_with_area(bound, _frames(*matrix_rows(_corners(bound)))[3])
 
 
 @drawable.register
@@ -154,7 +154,7 @@ def _(bound: BoundGaussians) -> Drawable:
     covars, has_area = _covariances(bound, corners)
     return Drawable(
         means=_means(bound, corners),
-        opacities=_shown(bound, has_area),
+        opacities=_opacities_with_area(bound, has_area),
         sh_dc=bound.sh_dc,
         sh_rest=bound.sh_rest,
         covars=covars,
@@ -210,7 +210,7 @@ def _means(bound: BoundGaussians, corners: Array) -> Array:
     return jnp.sum(barycentric[None, :, :, None] * corners[:, None], axis=2).reshape(-1, 3)
 
 
-def _shown(bound: BoundGaussians, has_area: Array) -> Array:
+def _opacities_with_area(bound: BoundGaussians, has_area: Array) -> Array:
     return jnp.where(jnp.repeat(has_area, bound.per_triangle), jax.nn.sigmoid(bound.logit_opacities), 0)
 
 

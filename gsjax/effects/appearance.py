@@ -51,20 +51,20 @@ class Start:
     tracked: bool  # whether tracks told any of this
 
 
-def start(seen: Observations, chosen: Collection[str], skies: Masks = MappingProxyType({})) -> Start:
+def start(observations: Observations, names: Collection[str], skies: Masks = MappingProxyType({})) -> Start:
     """Where the chosen effects start; zero without tracks.
 
     The same robust fit as the evidence, of display-coded values, since those are what training compares. `skies` are
     where photos show sky.
     """
-    frames = seen.frames
+    frames = observations.frames
     trained = np.array([not frame.held_out for frame in frames])
     log_gains, slope = np.zeros((len(frames), 3)), 0.0
-    data = table(np.log(seen.colors), seen.photo, seen.point, len(frames))
+    data = table(np.log(observations.colors), observations.photo, observations.point, len(frames))
     if len(data.photo):
         solution = fit(data)
-        if "vignetting" in chosen:
-            tangents2 = seen.tangents2
+        if "vignetting" in names:
+            tangents2 = observations.tangents2
             slope = min(vignetting.slope_on(tangents2, data, solution)[0], 0.0)
             solution = fit(data._replace(values=data.values - slope * tangents2[data.rows][:, None]))
         has_gain = np.bincount(data.photo, minlength=len(frames)) > 0
@@ -80,35 +80,35 @@ def start(seen: Observations, chosen: Collection[str], skies: Masks = MappingPro
         np.array([distinct.index(camera) for camera in cameras], np.int32),
         falloff.astype(np.float32),
         np.stack([_stands(frame)[:3] for frame in frames]),
-        _median_depth(seen),
-        poses.twists_from_tracks(seen) if "poses" in chosen else np.zeros((len(frames), 6)),
-        background.initial(seen, skies),
-        seen.tracked,
+        _median_depth(observations),
+        poses.twists_from_tracks(observations) if "poses" in names else np.zeros((len(frames), 6)),
+        background.initial(observations, skies),
+        observations.tracked,
     )
 
 
-def light_range(begun: Start, frames: Sequence[Frame], chosen: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
+def light_range(start_values: Start, frames: Sequence[Frame], names: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
     """`[V, 3]` what each photo multiplies display-coded light by, at most and at least, as the chosen effects start."""
-    gains = begun.log_gains if "exposure" in chosen else np.zeros_like(begun.log_gains)
+    gains = start_values.log_gains if "exposure" in names else np.zeros_like(start_values.log_gains)
     sizes = np.array([(frame.width, frame.height) for frame in frames])
     centers, focals = (np.array([get(frame.K) for frame in frames]) for get in (lambda K: K[:2, 2], np.diagonal))
     tangents2 = np.square(np.maximum(centers, sizes - centers) / focals[:, :2]).sum(-1)
-    corners = np.stack([tangents2, np.square(tangents2)], -1) * begun.falloff[begun.camera]
+    corners = np.stack([tangents2, np.square(tangents2)], -1) * start_values.falloff[start_values.camera]
     return np.exp(gains), np.exp(gains + corners.sum(-1, keepdims=True))
 
 
-def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax.Schedule]) -> Effects:
+def simulations(start_values: Start, names: Collection[str], rate: Callable[..., optax.Schedule]) -> Effects:
     """The chosen effects, over the photos that are trained on.
 
     Args:
-        begun: Where they start.
-        chosen: Their names.
+        start_values: Where they start.
+        names: Of the chosen ones.
         rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.simulation.learning_rate`.
     """
-    return {name: effect_module(name).simulate(begun, rate) for name in SIMULATED if name in chosen}
+    return {name: effect_module(name).simulate(start_values, rate) for name in SIMULATED if name in names}
 
 
-def appearances(begun: Start, state: EffectState) -> dict[str, Appearance]:
+def appearances(start_values: Start, state: EffectState) -> dict[str, Appearance]:
     """Of every photo, by name, after training: gains as learned, those of held-out photos as their tracks imply.
 
     No pixel of a held-out photo has been used but its keypoints. Empty where nothing changes the light.
@@ -116,14 +116,14 @@ def appearances(begun: Start, state: EffectState) -> dict[str, Appearance]:
     numbers: dict[str, Any] = state.numbers
     if not {"exposure", "vignetting"} & numbers.keys():
         return {}
-    gains = np.zeros_like(begun.log_gains)
+    gains = np.zeros_like(start_values.log_gains)
     if "exposure" in numbers:
-        gains = begun.log_gains.copy()
-        gains[begun.trained] = np.asarray(exposure.log_gains(jnp.asarray(numbers["exposure"])))
-    falloff = np.asarray(numbers.get("vignetting", np.zeros_like(begun.falloff)))
+        gains = start_values.log_gains.copy()
+        gains[start_values.trained] = np.asarray(exposure.log_gains(jnp.asarray(numbers["exposure"])))
+    falloff = np.asarray(numbers.get("vignetting", np.zeros_like(start_values.falloff)))
     return {
-        name: Appearance(tuple(gains[index].tolist()), tuple(falloff[begun.camera[index]].tolist()))
-        for index, name in enumerate(begun.names)
+        name: Appearance(tuple(gains[index].tolist()), tuple(falloff[start_values.camera[index]].tolist()))
+        for index, name in enumerate(start_values.names)
     }
 
 
@@ -161,12 +161,14 @@ def _stands(frame: Frame) -> np.ndarray:
     return np.concatenate([viewmat_center(viewmat), viewmat[2, :3]])
 
 
-def moves(begun: Start, state: EffectState) -> dict[str, poses.Move]:
+def moves(start_values: Start, state: EffectState) -> dict[str, poses.Move]:
     """Of every photo's camera, by name, after training; empty where they stayed."""
     if "poses" not in state.numbers:
         return {}
-    matrices = poses.moves(state.numbers["poses"], begun.centers, begun.distance, begun.trained, begun.camera)
-    return dict(zip(begun.names, matrices, strict=True))
+    matrices = poses.moves(
+        state.numbers["poses"], start_values.centers, start_values.distance, start_values.trained, start_values.camera
+    )
+    return dict(zip(start_values.names, matrices, strict=True))
 
 
 def fit_colors(colors: np.ndarray, image: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -189,11 +191,11 @@ def without_appearance(frame: Frame, look: Appearance) -> Frame:
     return with_pixels(frame, pixels._replace(image=image))
 
 
-def _median_depth(seen: Observations) -> float:
+def _median_depth(observations: Observations) -> float:
     """Of some points in front of the cameras; the spread of the cameras where there are none."""
-    points = seen.points[:: max(1, len(seen.points) // 1000)]
-    depths = np.concatenate([points @ frame.viewmat[2, :3] + frame.viewmat[2, 3] for frame in seen.frames])
+    points = observations.points[:: max(1, len(observations.points) // 1000)]
+    depths = np.concatenate([points @ frame.viewmat[2, :3] + frame.viewmat[2, 3] for frame in observations.frames])
     if (depths > 0).any():
         return float(np.median(depths[depths > 0]))
-    centers = np.stack([frame.viewmat[:3, 3] for frame in seen.frames])
+    centers = np.stack([frame.viewmat[:3, 3] for frame in observations.frames])
     return float(np.linalg.norm(centers - centers.mean(0), axis=1).max()) or 1.0

@@ -45,8 +45,8 @@ def judge(findings: "Findings") -> Evidence:
         return Evidence(False, value, "share of photos", noise, THRESHOLD, note)
     colors = np.stack([facts.sky_color for facts in observations.facts])[is_open]
     mean, spread = colors.mean(0), float(colors.std(0).max())
-    shown = ", ".join(f"{channel:.2f}" for channel in mean)
-    note += f"; colour {shown}, " + ("the same in all photos" if spread < _ONE_COLOR else f"+-{spread:.2f}")
+    channels = ", ".join(f"{channel:.2f}" for channel in mean)
+    note += f"; colour {channels}, " + ("the same in all photos" if spread < _ONE_COLOR else f"+-{spread:.2f}")
     is_white = _is_white(observations)
     far = 0.0 if compared is None else sky.score(compared)
     note += "; pure white" if is_white else f"; a wall explains it x{far:.2f} as badly as infinity"
@@ -55,32 +55,32 @@ def judge(findings: "Findings") -> Evidence:
     return Evidence(is_on, value, "share of photos", noise, THRESHOLD, note)
 
 
-def bare_regions(seen: Observations) -> dict[int, np.ndarray]:
+def bare_regions(observations: Observations) -> dict[int, np.ndarray]:
     """Index of a photo -> `[h, w]` bool on the grid of `PhotoFacts.light`: what is bright, smooth and unmatched."""
-    is_open = [facts.sky_share > OPEN for facts in seen.facts]
-    if np.mean(is_open) <= THRESHOLD or _is_white(seen):
+    is_open = [facts.sky_share > OPEN for facts in observations.facts]
+    if np.mean(is_open) <= THRESHOLD or _is_white(observations):
         return {}  # decided without
-    return {index: facts.bare for index, facts in enumerate(seen.facts) if is_open[index]}
+    return {index: facts.bare for index, facts in enumerate(observations.facts) if is_open[index]}
 
 
-def _is_white(seen: Observations) -> bool:
+def _is_white(observations: Observations) -> bool:
     """Whether what is bare is pure white: made by a computer, or clipped, and no photo of plaster."""
-    bare = [facts.light[facts.bare] for facts in seen.facts if facts.sky_share > OPEN]
+    bare = [facts.light[facts.bare] for facts in observations.facts if facts.sky_share > OPEN]
     return bool(bare) and bool((np.concatenate(bare) > _WHITE).all(-1).mean() > _MOSTLY)
 
 
-def initial(seen: Observations, skies: Masks = MappingProxyType({})) -> np.ndarray:
+def initial(observations: Observations, skies: Masks = MappingProxyType({})) -> np.ndarray:
     """`[(L + 1)^2, 3]` SH coefficients to start with: the colours of the sky, the mean of what looks like it, or grey.
 
     L is 0 where what looks like sky has one colour, or nothing does; else `DEGREE`.
 
     Args:
-        seen: The photos.
+        observations: The photos.
         skies: Where they show sky; those that are needed are read again.
     """
-    if any(frame.name in skies and not frame.held_out for frame in seen.frames):
-        return _seen_through(seen.frames, skies)
-    is_open = [facts for facts in seen.facts if facts.sky_share > OPEN]
+    if any(frame.name in skies and not frame.held_out for frame in observations.frames):
+        return _seen_through(observations.frames, skies)
+    is_open = [facts for facts in observations.facts if facts.sky_share > OPEN]
     if not is_open:
         return backdrop.constant_coefficients(np.full(3, 0.5), 0)
     colors = np.stack([facts.sky_color for facts in is_open])
@@ -94,37 +94,37 @@ def _seen_through(frames: Sequence[Frame], skies: Masks) -> np.ndarray:
     directions, colors = [], []
     for frame in with_sky[:: -(-len(with_sky) // SKIES_READ)]:
         rows, columns = np.nonzero(skies[frame.name])
-        chosen = np.unique(np.linspace(0, len(rows) - 1, PIXELS_READ).astype(int))
-        rows, columns = rows[chosen], columns[chosen]
+        indices = np.unique(np.linspace(0, len(rows) - 1, PIXELS_READ).astype(int))
+        rows, columns = rows[indices], columns[indices]
         places = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], -1)
         directions.append(places @ np.linalg.inv(frame.K.astype(np.float64)).T @ frame.viewmat[:3, :3])
         colors.append(frame.pixels().image[rows, columns] / 255.0)
     return backdrop.fitted_coefficients(np.concatenate(directions), np.concatenate(colors), DEGREE)
 
 
-def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray) -> bool:
+def is_one(observations: Observations, color: float, most: np.ndarray, least: np.ndarray) -> bool:
     """Whether what looks like sky may all be of one grey, as the cameras show it: laid under renders, it is enough.
 
     Args:
-        seen: The photos.
+        observations: The photos.
         color: The grey, 0..1.
         most: `[V, 3]` what a photo multiplies display-coded light by where it is brightest; 1 where nothing is known.
         least: The same where it is darkest.
     """
-    is_open = np.array([facts.sky_share > OPEN for facts in seen.facts])
+    is_open = np.array([facts.sky_share > OPEN for facts in observations.facts])
     if not is_open.any():
         return False
-    skies = np.stack([facts.sky_color for facts in seen.facts])[is_open]
-    spread = np.array([facts.sky_spread for facts in seen.facts])[is_open].mean()
+    skies = np.stack([facts.sky_color for facts in observations.facts])[is_open]
+    spread = np.array([facts.sky_spread for facts in observations.facts])[is_open].mean()
     lightest, darkest = (np.minimum(1.0, color * factor[is_open]) for factor in (most, least))
     beyond = np.maximum(np.maximum(skies - lightest, darkest - skies), 0)
     off = np.hypot(np.sqrt(np.square(beyond).mean(0)).max(), max(spread - (lightest - darkest).mean(), 0))
     return bool(off < _ONE_COLOR)
 
 
-def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
     """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
-    return make_effect(begun.background, rate(peak=RATE, hold=0))
+    return make_effect(start_values.background, rate(peak=RATE, hold=0))
 
 
 def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:

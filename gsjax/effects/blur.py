@@ -38,32 +38,32 @@ def judge(findings: "Findings") -> Evidence:
     return Evidence(value > THRESHOLD, value, "of median sharpness lost", spread, THRESHOLD, note)
 
 
-def _lost_by_all(seen: Observations) -> float:
+def _lost_by_all(observations: Observations) -> float:
     """Share of the resolution that the median photo lacks, by its sharpest edges; 0 where photos have no edges."""
-    widths = np.array([facts.edge_width for facts in seen.facts if facts.edge_width > 0])
-    return max(0.0, 1 - SHARP_EDGE / float(np.median(widths))) if 2 * len(widths) > len(seen.facts) else 0.0
+    widths = np.array([facts.edge_width for facts in observations.facts if facts.edge_width > 0])
+    return max(0.0, 1 - SHARP_EDGE / float(np.median(widths))) if 2 * len(widths) > len(observations.facts) else 0.0
 
 
-def photos_to_leave_out(seen: Observations) -> tuple[str, ...]:
+def photos_to_leave_out(observations: Observations) -> tuple[str, ...]:
     """Names of the photos that are too blurred to be trained on and that nothing depends on.
 
     Nine tenths of what was matched in such a photo must be seen by two sharper ones that are trained on. Without
     tracks none is left out. Held-out photos are not trained on anyway, and are scored as they are.
     """
-    trained = np.array([not frame.held_out for frame in seen.frames])
-    blurred = trained & (_lost(seen) > DROP)
-    stays = (trained & ~blurred)[seen.photo]
-    others = np.bincount(seen.point[stays], minlength=len(seen.points))
-    found = []
+    trained = np.array([not frame.held_out for frame in observations.frames])
+    blurred = trained & (_lost(observations) > DROP)
+    stays = (trained & ~blurred)[observations.photo]
+    others = np.bincount(observations.point[stays], minlength=len(observations.points))
+    names = []
     for index in np.flatnonzero(blurred):
-        points = seen.point[seen.photo == index]
+        points = observations.point[observations.photo == index]
         if len(points) and np.mean(others[points] >= 2) >= SEEN_BESIDES:
-            found.append(seen.frames[index].name)
-    return tuple(found)
+            names.append(observations.frames[index].name)
+    return tuple(names)
 
 
-def _lost(seen: Observations) -> np.ndarray:
+def _lost(observations: Observations) -> np.ndarray:
     """`[V]` share of the median photo's sharpness that each photo lacks."""
-    sharpness = np.array([facts.sharpness for facts in seen.facts])
+    sharpness = np.array([facts.sharpness for facts in observations.facts])
     median = float(np.median(sharpness))
     return 1 - sharpness / median if median > 0 else np.zeros(len(sharpness))

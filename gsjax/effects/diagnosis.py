@@ -65,23 +65,23 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
-    seen = observe(scene, progress=progress)
-    gains, steps = exposure.estimate(seen), poses.gauss_newton_steps(seen)
-    masks = sky.find(seen)
-    of_sky = _parallax(seen, sky.regions(seen, masks), gains)
-    above = sky.judge_masks(seen, masks, of_sky)
-    of_bare = of_sky if above.on else _parallax(seen, background.bare_regions(seen), gains)
-    findings = Findings(seen, gains, steps, of_bare, above)
+    observations = observe(scene, progress=progress)
+    gains, steps = exposure.estimate(observations), poses.gauss_newton_steps(observations)
+    masks = sky.find(observations)
+    of_sky = _parallax(observations, sky.regions(observations, masks), gains)
+    above = sky.judge_masks(observations, masks, of_sky)
+    of_bare = of_sky if above.on else _parallax(observations, background.bare_regions(observations), gains)
+    findings = Findings(observations, gains, steps, of_bare, above)
     effects = {name: effect_module(name).judge(findings) for name in EFFECTS}
-    return Diagnosis(effects, seen, gains, steps, masks if above.on else {}, masks)
+    return Diagnosis(effects, observations, gains, steps, masks if above.on else {}, masks)
 
 
 def _parallax(
-    seen: Observations, regions: Mapping[int, np.ndarray], gains: exposure.Gains | None
+    observations: Observations, regions: Mapping[int, np.ndarray], gains: exposure.Gains | None
 ) -> parallax.Parallax | None:
     """How plain regions compare between photos whose exposure is known from their tracks; None: nothing to compare."""
-    if not regions or not len(seen.points):
+    if not regions or not len(observations.points):
         return None
-    stops = np.zeros((len(seen.frames), 3)) if gains is None else gains.fit.gains
-    up = sky.upwards(seen.frames)
-    return parallax.compare(seen, regions, stops, np.array([0.0, 0.0, 1.0]) if up is None else up)
+    stops = np.zeros((len(observations.frames), 3)) if gains is None else gains.fit.gains
+    up = sky.upwards(observations.frames)
+    return parallax.compare(observations, regions, stops, np.array([0.0, 0.0, 1.0]) if up is None else up)

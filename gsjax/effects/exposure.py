@@ -37,14 +37,16 @@ class Gains(NamedTuple):
     agreement: tuple[float, float]  # correlation of both halves of the scene: exposures, white balances
 
 
-def light_table(seen: Observations) -> Table:
+def light_table(observations: Observations) -> Table:
     """The observations as log2 of linear light."""
-    return table(np.log2(srgb_to_linear(seen.colors)), seen.photo, seen.point, len(seen.frames))
+    return table(
+        np.log2(srgb_to_linear(observations.colors)), observations.photo, observations.point, len(observations.frames)
+    )
 
 
-def estimate(seen: Observations) -> Gains | None:
+def estimate(observations: Observations) -> Gains | None:
     """Gains of the photos, and how far they can be trusted; None without tracks that say anything."""
-    data = light_table(seen)
+    data = light_table(observations)
     if len(np.unique(data.photo)) < 2:
         return None
     half = np.random.default_rng(0).random(int(data.point.max()) + 1) < 0.5
@@ -53,7 +55,7 @@ def estimate(seen: Observations) -> Gains | None:
     a, b = _common(one, other, first, second, fewest=1)
     noise = 0.5 * float(np.sqrt(np.mean(np.square((a - b).mean(1))))) if a.size else 0.0
     ratio = held_out_ratio(second, one.gains) if len(second.photo) else 1.0
-    return Gains(data, fit(data), noise, ratio, _agreement(seen, data))
+    return Gains(data, fit(data), noise, ratio, _agreement(observations, data))
 
 
 def judge(findings: "Findings") -> Evidence:
@@ -79,10 +81,12 @@ def judge(findings: "Findings") -> Evidence:
     return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, note)
 
 
-def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
     """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
-    peak = RATE_KNOWN if begun.tracked else RATE  # near its start, an effect explains less of what a scene lacks yet
-    return make_effect(begun.log_gains[begun.trained], rate(peak=peak))
+    peak = (
+        RATE_KNOWN if start_values.tracked else RATE
+    )  # near its start, an effect explains less of what a scene lacks yet
+    return make_effect(start_values.log_gains[start_values.trained], rate(peak=peak))
 
 
 def make_effect(initial: np.ndarray, rate: optax.Schedule) -> Effect:
@@ -107,12 +111,12 @@ def log_gains(numbers: Array) -> Array:
     return jnp.clip(numbers - jnp.mean(numbers, axis=0, keepdims=True), -LIMIT, LIMIT)
 
 
-def _agreement(seen: Observations, data: Table) -> tuple[float, float]:
+def _agreement(observations: Observations, data: Table) -> tuple[float, float]:
     """Correlations of the photos' gains from the two halves of the scene, cut across its longest axis."""
-    points = seen.points[data.origins]
+    points = observations.points[data.origins]
     offsets = points - np.median(points, axis=0)
     side = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0] > 0
-    first, second = (data.only(chosen[data.point]) for chosen in (side, ~side))
+    first, second = (data.only(half[data.point]) for half in (side, ~side))
     one, other = _common(fit(first), fit(second), first, second, fewest=_FEWEST)
     luminance = _correlation(one.mean(1), other.mean(1))
     colors = _correlation(*((gains[:, [0, 2]] - gains[:, 1:2]).ravel() for gains in (one, other)))

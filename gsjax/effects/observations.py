@@ -86,27 +86,27 @@ def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fram
         InputError: A photo cannot be read.
     """
     by_name = tracks_by_name(scene)
-    chosen = _chosen(len(scene.points), max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames)))
+    in_sample = _random_sample(len(scene.points), max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames)))
     facts, parts = [], []
     for index, frame in enumerate(progress(scene.frames)):
         points, rays = by_name.get(frame.name, (np.empty(0, np.int64), np.empty((0, 2))))
         pixels = rays * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
         inside = ((pixels >= 0) & (pixels < [frame.width, frame.height])).all(-1)
-        kept = inside & chosen[points]
-        colors, found = _look(frame, pixels[inside], pixels[kept])
-        facts.append(found)
-        parts.append((np.full(len(colors), index), points[kept], pixels[kept], colors))
+        is_used = inside & in_sample[points]
+        colors, photo_facts = _look(frame, pixels[inside], pixels[is_used])
+        facts.append(photo_facts)
+        parts.append((np.full(len(colors), index), points[is_used], pixels[is_used], colors))
     photo, point, pixels, colors = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     return Observations(
         scene.frames, tuple(facts), scene.points.astype(np.float64), photo, point, pixels, colors, bool(len(photo))
     )
 
 
-def _chosen(count: int, most: int) -> np.ndarray:
+def _random_sample(count: int, most: int) -> np.ndarray:
     """`[P]` bool: which points stand for all, drawn at random."""
-    chosen = np.zeros(count, bool)
-    chosen[np.random.default_rng(0).permutation(count)[:most]] = True
-    return chosen
+    in_sample = np.zeros(count, bool)
+    in_sample[np.random.default_rng(0).permutation(count)[:most]] = True
+    return in_sample
 
 
 def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray) -> tuple[np.ndarray, PhotoFacts]:
@@ -173,8 +173,8 @@ def edge_width(luminance: np.ndarray, usable: np.ndarray) -> float:
     """
     widths = []
     for lines, free in ((luminance, usable), (luminance.T, usable.T)):
-        chosen = slice(None, None, max(1, len(lines) // EDGE_LINES))
-        widths.append(_widths(lines[chosen], free[chosen]))
+        sampling = slice(None, None, max(1, len(lines) // EDGE_LINES))
+        widths.append(_widths(lines[sampling], free[sampling]))
     every = np.concatenate(widths)
     return float(np.quantile(every, SHARPEST)) if len(every) >= FEWEST_EDGES else 0.0
 

@@ -59,24 +59,24 @@ class _View(NamedTuple):
 
 
 def compare(
-    seen: Observations, regions: Mapping[int, np.ndarray], gains: np.ndarray, up: np.ndarray
+    observations: Observations, regions: Mapping[int, np.ndarray], gains: np.ndarray, up: np.ndarray
 ) -> Parallax | None:
     """Compare plain regions between photos; None where too few photos show the same, or all of it is clipped.
 
     Args:
-        seen: The photos.
+        observations: The photos.
         regions: Index of a frame -> `[h, w]` bool on the grid of `PhotoFacts.light`.
         gains: `[V, 3]` EV, of the photos' exposures.
         up: `[3]` unit.
     """
-    every = [_view(seen, index, region, gains[index]) for index, region in regions.items()]
+    every = [_view(observations, index, region, gains[index]) for index, region in regions.items()]
     views = [view for view in every if view is not None]
     views = views[:: -(-len(views) // VIEWS) or 1]
     pairs = [(a, b) for a in range(len(views)) for b in _partners(a, views)]
     if not pairs:
         return None
     sizes = ((SIDES, HEIGHTS), (FAR_SIDES, FAR_HEIGHTS))
-    near, far = (_boxes(seen, up, *each) for each in sizes)
+    near, far = (_boxes(observations, up, *each) for each in sizes)
     ratios, difference = _ratios(views, pairs, (*near, *far))
     if not np.isfinite(ratios).any():
         return None
@@ -104,16 +104,16 @@ def _least(ratios: np.ndarray) -> float:
     return float(ratios[np.isfinite(ratios)].min(initial=np.inf)) if np.isfinite(ratios).any() else 0.0
 
 
-def _view(seen: Observations, index: int, region: np.ndarray, gain: np.ndarray) -> _View | None:
+def _view(observations: Observations, index: int, region: np.ndarray, gain: np.ndarray) -> _View | None:
     """The region of one photo without its outline; None where nothing of it is left."""
-    frame, light = seen.frames[index], seen.facts[index].light.astype(np.float64)
+    frame, light = observations.frames[index], observations.facts[index].light.astype(np.float64)
     inner = np.asarray(ndimage.binary_erosion(region, iterations=2, border_value=1))
     usable = (light > DARKEST) & (light < BRIGHTEST) & (inner & region)[..., None]
     rows, columns = np.nonzero(usable.any(-1))
     if not len(rows) or min(region.shape) < 2:
         return None
-    chosen = np.unique(np.linspace(0, len(rows) - 1, SAMPLES).astype(int))
-    rows, columns = rows[chosen], columns[chosen]
+    indices = np.unique(np.linspace(0, len(rows) - 1, SAMPLES).astype(int))
+    rows, columns = rows[indices], columns[indices]
     viewmat = frame.viewmat.astype(np.float64)
     K = frame.K.astype(np.float64) * np.array([[light.shape[1] / frame.width], [light.shape[0] / frame.height], [1.0]])
     places = np.stack([columns + 0.5, rows + 0.5], -1)
@@ -211,20 +211,22 @@ def _left_over(moments: np.ndarray, pairs: Sequence[tuple[int, int]], num_views:
     return max(total[3, 3] - solved @ right, 0.0) / count + NOISE**2
 
 
-def _boxes(seen: Observations, up: np.ndarray, sides: Sequence[float], heights: Sequence[float]) -> list[Surface]:
+def _boxes(
+    observations: Observations, up: np.ndarray, sides: Sequence[float], heights: Sequence[float]
+) -> list[Surface]:
     """Level boxes about the matched points and the cameras, turned to the least area; some lack walls, some a ceiling.
 
     Args:
-        seen: The photos.
+        observations: The photos.
         up: `[3]` unit.
         sides: Times as wide as what is within.
         heights: Of the ceiling over it, and of it over the floor, in mean half widths.
     """
-    eyes = np.stack([viewmat_center(frame.viewmat.astype(np.float64)) for frame in seen.frames])
+    eyes = np.stack([viewmat_center(frame.viewmat.astype(np.float64)) for frame in observations.frames])
     across = np.linalg.svd(up[None])[2][1:]
     angles = np.radians(np.arange(0, 90, 5))
     turns = [np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) @ across for angle in angles]
-    extents = [_extent(seen.points, eyes, np.concatenate([turn, up[None]])) for turn in turns]
+    extents = [_extent(observations.points, eyes, np.concatenate([turn, up[None]])) for turn in turns]
     best = int(np.argmin([np.prod((high - low)[:2]) for low, high in extents]))
     axes, (low, high) = np.concatenate([turns[best], up[None]]), extents[best]
     size = max(float((high - low)[:2].mean() / 2), 1e-6)

@@ -28,9 +28,9 @@ class Table(NamedTuple):
     origins: np.ndarray  # [P] what the points were called before
     rows: np.ndarray  # [N] which rows these were before
 
-    def only(self, chosen: np.ndarray) -> "Table":
-        """The rows of `chosen` `[N]` bool, points with too few of them left out."""
-        return table(self.values[chosen], self.photo[chosen], self.point[chosen], self.num_photos)
+    def only(self, mask: np.ndarray) -> "Table":
+        """The rows of `mask` `[N]` bool, points with too few of them left out."""
+        return table(self.values[mask], self.photo[mask], self.point[mask], self.num_photos)
 
 
 class Fit(NamedTuple):
@@ -64,10 +64,10 @@ def fit(data: Table) -> Fit:
         size = np.sqrt(np.mean(np.square(residuals), axis=1))
         sigma = 1.4826 * float(np.median(size))
         weights = np.minimum(1.0, OUTLIER * sigma / np.maximum(size, 1e-12))
-    seen = np.bincount(data.photo, minlength=data.num_photos) > 0
-    if seen.any():
+    has_gain = np.bincount(data.photo, minlength=data.num_photos) > 0
+    if has_gain.any():
         gains = _drawn_to_mean(data, weights, gains, residuals)
-        gains = np.where(seen[:, None], gains - gains[seen].mean(0), 0.0)
+        gains = np.where(has_gain[:, None], gains - gains[has_gain].mean(0), 0.0)
     return Fit(gains, residuals, weights, sigma)
 
 
@@ -83,8 +83,8 @@ def _drawn_to_mean(data: Table, weights: np.ndarray, gains: np.ndarray, residual
     noise2 = np.square(1.4826 * np.median(np.abs(residuals @ _GREY_AND_TINTS), axis=0))
     pulls = np.maximum(SHARED * noise2 / np.maximum(spread2, 1e-12), _PULL)
     values = data.values @ _GREY_AND_TINTS
-    drawn = [project(values[:, k : k + 1], data, weights, pull)[0] for k, pull in enumerate(pulls)]
-    return np.concatenate(drawn, axis=1) @ _GREY_AND_TINTS.T
+    components = [project(values[:, k : k + 1], data, weights, pull)[0] for k, pull in enumerate(pulls)]
+    return np.concatenate(components, axis=1) @ _GREY_AND_TINTS.T
 
 
 def project(values: np.ndarray, data: Table, weights: np.ndarray, pull: float = _PULL) -> tuple[np.ndarray, np.ndarray]:
@@ -93,15 +93,15 @@ def project(values: np.ndarray, data: Table, weights: np.ndarray, pull: float = 
     `pull` is the number of observations of effect zero that every photo has in addition to its own.
     """
     shape = (int(data.point.max()) + 1, data.num_photos)
-    seen = sparse.csr_matrix((weights, (data.point, data.photo)), shape)
-    per_point = np.maximum(np.asarray(seen.sum(1)).ravel(), 1e-12)
+    incidence = sparse.csr_matrix((weights, (data.point, data.photo)), shape)
+    per_point = np.maximum(np.asarray(incidence.sum(1)).ravel(), 1e-12)
 
     def point_sums(columns: np.ndarray) -> np.ndarray:
         return np.stack([np.bincount(data.point, weights * column, shape[0]) for column in columns.T], -1)
 
     photo_sums = np.stack([np.bincount(data.photo, weights * column, shape[1]) for column in values.T], -1)
-    shares = sparse.diags(1 / per_point) @ seen
-    system = np.diag(np.asarray(seen.sum(0)).ravel() + pull) - (seen.T @ shares).toarray()
+    shares = sparse.diags(1 / per_point) @ incidence
+    system = np.diag(np.asarray(incidence.sum(0)).ravel() + pull) - (incidence.T @ shares).toarray()
     photos = np.linalg.solve(system, photo_sums - shares.T @ point_sums(values))
     left = values - photos[data.photo]
     points = point_sums(left) / per_point[:, None]

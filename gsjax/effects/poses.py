@@ -45,9 +45,9 @@ class Step(NamedTuple):
         return self.shift > SIGNIFICANT * self.error
 
 
-def gauss_newton_steps(seen: Observations) -> tuple[Step | None, ...]:
+def gauss_newton_steps(observations: Observations) -> tuple[Step | None, ...]:
     """The robust Gauss-Newton step of every photo on its reprojection errors, points fixed; None of too few points."""
-    return tuple(_step(seen, index) for index in range(len(seen.frames)))
+    return tuple(_step(observations, index) for index in range(len(observations.frames)))
 
 
 def judge(findings: "Findings") -> Evidence:
@@ -72,29 +72,31 @@ class Move(NamedTuple):
 
     def apply(self, frame: Frame) -> Frame:
         """The frame as taken by the camera so moved."""
-        given = Camera(jnp.asarray(frame.viewmat), jnp.asarray(frame.K), frame.width, frame.height)
-        camera = _moved_and_zoomed(given, jnp.asarray([*self.turn, *self.shift], jnp.float32), jnp.float32(self.focal))
+        original = Camera(jnp.asarray(frame.viewmat), jnp.asarray(frame.K), frame.width, frame.height)
+        camera = _moved_and_zoomed(
+            original, jnp.asarray([*self.turn, *self.shift], jnp.float32), jnp.float32(self.focal)
+        )
         return replace(frame, viewmat=np.asarray(camera.viewmat), K=np.asarray(camera.K))
 
 
-def twists_from_tracks(seen: Observations) -> np.ndarray:
+def twists_from_tracks(observations: Observations) -> np.ndarray:
     """`[V, 6]` turns (radians) and shifts (scene units) that tracks ask of the photos' cameras; zero where not sure."""
-    found = np.zeros((len(seen.frames), 6))
-    for index, step in enumerate(gauss_newton_steps(seen)):
+    photo_twists = np.zeros((len(observations.frames), 6))
+    for index, step in enumerate(gauss_newton_steps(observations)):
         if step is not None and step.is_sure:
-            found[index] = *step.turn, *step.move
-    return found
+            photo_twists[index] = *step.turn, *step.move
+    return photo_twists
 
 
-def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
     """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
     return make_effect(
-        begun.centers[begun.trained],
-        begun.distance,
-        begun.camera[begun.trained],
-        len(begun.falloff),
-        rate(peak=RATE_KNOWN if begun.tracked else RATE, hold=HOLD, share=HOLD_SHARE),
-        begun.twists[begun.trained],
+        start_values.centers[start_values.trained],
+        start_values.distance,
+        start_values.camera[start_values.trained],
+        len(start_values.falloff),
+        rate(peak=RATE_KNOWN if start_values.tracked else RATE, hold=HOLD, share=HOLD_SHARE),
+        start_values.twists[start_values.trained],
     )
 
 
@@ -122,14 +124,14 @@ def make_effect(
         initial: `[V, 6]` turns, radians, and shifts, scene units, to start with. None: none.
     """
     fixed, whose = gauge(centers, unit), np.asarray(whose, np.int32)
-    told = np.zeros((len(centers), 6)) if initial is None else initial / np.repeat([1.0, unit], 3)
-    begun = {"twists": told.astype(np.float32), "log_focals": np.zeros(count, np.float32)}
+    start_twists = np.zeros((len(centers), 6)) if initial is None else initial / np.repeat([1.0, unit], 3)
+    start_numbers = {"twists": start_twists.astype(np.float32), "log_focals": np.zeros(count, np.float32)}
 
-    def camera(numbers: Any, given: Camera, photo: Array) -> Camera:
+    def camera(numbers: Any, original: Camera, photo: Array) -> Camera:
         focal = jnp.exp(log_focals(numbers)[jnp.asarray(whose)[photo]])
-        return zoom_camera(apply_twist(given, twists(numbers, fixed)[photo], unit), focal)
+        return zoom_camera(apply_twist(original, twists(numbers, fixed)[photo], unit), focal)
 
-    return Effect(begun, rate, camera=camera)
+    return Effect(start_numbers, rate, camera=camera)
 
 
 def twists(numbers: Any, fixed: np.ndarray) -> Array:
@@ -152,8 +154,8 @@ def zoom_camera(camera: Camera, focal: Array) -> Camera:
 
 
 @jax.jit
-def _moved_and_zoomed(given: Camera, twist: Array, focal: Array) -> Camera:
-    return zoom_camera(apply_twist(given, twist, 1.0), focal)
+def _moved_and_zoomed(camera: Camera, twist: Array, focal: Array) -> Camera:
+    return zoom_camera(apply_twist(camera, twist, 1.0), focal)
 
 
 def moves(numbers: Any, centers: np.ndarray, unit: float, trained: np.ndarray, whose: np.ndarray) -> tuple[Move, ...]:
@@ -166,24 +168,24 @@ def moves(numbers: Any, centers: np.ndarray, unit: float, trained: np.ndarray, w
         trained: `[V]` bool.
         whose: `[V]` whose camera took which photo.
     """
-    found = np.zeros((len(centers), 6))
-    found[trained] = np.asarray(twists(numbers, gauge(centers[trained], unit))) * np.repeat([1.0, unit], 3)
+    photo_twists = np.zeros((len(centers), 6))
+    photo_twists[trained] = np.asarray(twists(numbers, gauge(centers[trained], unit))) * np.repeat([1.0, unit], 3)
     focals = np.exp(np.asarray(log_focals(numbers), np.float64))
-    rows = zip(found.tolist(), focals[whose].tolist(), strict=True)
+    rows = zip(photo_twists.tolist(), focals[whose].tolist(), strict=True)
     return tuple(Move(tuple(twist[:3]), tuple(twist[3:]), focal) for twist, focal in rows)
 
 
-def _step(seen: Observations, index: int) -> Step | None:
-    rows = seen.photo == index
+def _step(observations: Observations, index: int) -> Step | None:
+    rows = observations.photo == index
     if rows.sum() < FEWEST:
         return None
-    frame = seen.frames[index]
+    frame = observations.frames[index]
     viewmat, K = frame.viewmat.astype(np.float64), frame.K.astype(np.float64)
-    local = seen.points[seen.point[rows]] @ viewmat[:3, :3].T + viewmat[:3, 3]
+    local = observations.points[observations.point[rows]] @ viewmat[:3, :3].T + viewmat[:3, 3]
     front = local[:, 2] > 1e-6
     if front.sum() < FEWEST:
         return None
-    local, observed = local[front], seen.pixels[rows][front]
+    local, observed = local[front], observations.pixels[rows][front]
     x, y, z = local.T
     focal = K[[0, 1], [0, 1]]
     errors = observed - (local[:, :2] / z[:, None] * focal + K[:2, 2])

@@ -131,8 +131,8 @@ def mask_untrusted(
         return batch, added
     for name, effect in effects.items():
         if effect.trusts is not None:
-            shown, own = effect.trusts(numbers[name], view.colors, batch)
-            batch, added = replace(batch, valid=batch.valid & shown), own if added is None else added + own
+            is_trusted, own = effect.trusts(numbers[name], view.colors, batch)
+            batch, added = replace(batch, valid=batch.valid & is_trusted), own if added is None else added + own
     return batch, added
 
 

@@ -42,25 +42,28 @@ Masks = Mapping[str, np.ndarray]
 """Frame's name -> `[H, W]` bool, True where it shows sky; photos without sky have none."""
 
 
-def find(seen: Observations) -> Masks:
+def find(observations: Observations) -> Masks:
     """Where the photos may show sky, or plaster; empty where they show neither, or cameras or points do not show it."""
-    up = upwards(seen.frames)
-    if up is None or not len(seen.points) or any(facts.has_matte for facts in seen.facts):
+    up = upwards(observations.frames)
+    if up is None or not len(observations.points) or any(facts.has_matte for facts in observations.facts):
         return {}
-    views = [_view(frame, facts.even, seen.points, up) for frame, facts in zip(seen.frames, seen.facts, strict=True)]
+    views = [
+        _view(frame, facts.even, observations.points, up)
+        for frame, facts in zip(observations.frames, observations.facts, strict=True)
+    ]
     typical = float(np.median([view.points.sum() / max(view.usable.sum(), 1) for view in views]))
-    found = [_regions(view, typical) for view in views]
+    candidates = [_regions(view, typical) for view in views]
     counts: dict[int, int] = {}
-    for view, regions in zip(views, found, strict=True):
+    for view, regions in zip(views, candidates, strict=True):
         for cell in np.unique(view.cells[np.logical_or.reduce(regions)]) if regions else ():
             counts[cell] = counts.get(cell, 0) + 1
     masks, strong = {}, 0
-    for frame, view, regions in zip(seen.frames, views, found, strict=True):
+    for frame, view, regions in zip(observations.frames, views, candidates, strict=True):
         shared = np.isin(view.cells, [cell for cell, count in counts.items() if count >= FEWEST])
-        kept = [region for region in regions if shared[region].mean() >= ALIKE]
-        if kept:
-            masks[frame.name] = _full_size(np.logical_or.reduce(kept), frame)
-            strong += any(_is_plain(region, view) for region in kept)
+        shared_regions = [region for region in regions if shared[region].mean() >= ALIKE]
+        if shared_regions:
+            masks[frame.name] = _full_size(np.logical_or.reduce(shared_regions), frame)
+            strong += any(_is_plain(region, view) for region in shared_regions)
     return masks if strong >= max(FEWEST, SHARE * len(views)) else {}
 
 
@@ -69,26 +72,26 @@ def judge(findings: "Findings") -> Evidence:
     return findings.sky
 
 
-def judge_masks(seen: Observations, masks: Masks, compared: Parallax | None = None) -> Evidence:
+def judge_masks(observations: Observations, masks: Masks, compared: Parallax | None = None) -> Evidence:
     """Judge whether the regions of `find` are sky; on only where their light comes from infinity.
 
     Args:
-        seen: The photos.
+        observations: The photos.
         masks: Where they may show sky.
         compared: What `gsjax.effects.parallax.compare` measured in `regions`.
     """
     unit = "times the error at infinity"
-    if any(facts.has_matte for facts in seen.facts):
+    if any(facts.has_matte for facts in observations.facts):
         return Evidence(False, 0.0, unit, 0.0, THRESHOLD, "mattes separate the object from what is behind it")
-    if not seen.tracked:
+    if not observations.tracked:
         return unknown(unit, THRESHOLD, "without tracks a sky is no different from a wall")
-    if upwards(seen.frames) is None:
+    if upwards(observations.frames) is None:
         return unknown(unit, THRESHOLD, "the cameras do not agree on where up is")
     if not masks or compared is None:
         note = "no sky" if not masks else f"no sky: {PLAIN}; even or clipped in all photos, so nothing compares"
         return Evidence(False, 0.0, unit, 1.0, THRESHOLD, note)
     value = score(compared)
-    note = summary(masks, seen.frames) if value > THRESHOLD else f"no sky: {PLAIN}"
+    note = summary(masks, observations.frames) if value > THRESHOLD else f"no sky: {PLAIN}"
     note += f"; at a near surface x{compared.near:.2f}, a far one x{compared.far:.2f}, fixed to the photo"
     note += f" x{compared.fixed:.2f}; green over red {compared.blueness:.2f} EV, changing by {compared.blue_range:.2f}"
     return Evidence(value > THRESHOLD, value, unit, 1.0, THRESHOLD, note)
@@ -105,13 +108,13 @@ def score(compared: Parallax) -> float:
     return min(bonus * likeliest, compared.far / LARGE_ROOM)
 
 
-def regions(seen: Observations, masks: Masks) -> dict[int, np.ndarray]:
+def regions(observations: Observations, masks: Masks) -> dict[int, np.ndarray]:
     """Index of a photo -> `[h, w]` bool on the grid of `PhotoFacts.light`: places that lie in its mask as a whole."""
-    found = {}
-    for index, frame in enumerate(seen.frames):
+    places = {}
+    for index, frame in enumerate(observations.frames):
         if frame.name in masks:
-            found[index] = block_means(masks[frame.name], light_stride(frame.width, frame.height)) == 1
-    return found
+            places[index] = block_means(masks[frame.name], light_stride(frame.width, frame.height)) == 1
+    return places
 
 
 def summary(masks: Masks, frames: Sequence[Frame]) -> str:
@@ -194,7 +197,7 @@ def _regions(view: _View, typical: float) -> list[np.ndarray]:
     """`[h, w]` bool each: connected even regions that may be sky. `typical` is of points to a place of the grid."""
     labels, _ = ndimage.label(view.even)  # pyright: ignore[reportGeneralTypeIssues]
     dense = max(typical, view.points.sum() / max(view.usable.sum(), 1))
-    sizes, found = np.bincount(labels.ravel()), []
+    sizes, candidates = np.bincount(labels.ravel()), []
     for label in np.unique(labels[view.border & view.even]):
         region = labels == label
         expected = dense * sizes[label]
@@ -202,8 +205,8 @@ def _regions(view: _View, typical: float) -> list[np.ndarray]:
         is_bare = view.points[region].sum() <= POINTS[0] * expected
         is_told = expected >= POINTS[1] or sizes[label] < OPEN * view.usable.sum()
         if sizes[label] >= LEAST * view.usable.sum() and is_above and is_bare and is_told:
-            found.append(region)
-    return found
+            candidates.append(region)
+    return candidates
 
 
 def _is_plain(region: np.ndarray, view: _View) -> bool:

@@ -46,9 +46,9 @@ def judge(findings: "Findings") -> Evidence:
     return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, note)
 
 
-def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
     """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
-    del begun
+    del start_values
     return make_effect(rate(peak=RATE, hold=0, final=1.0))
 
 

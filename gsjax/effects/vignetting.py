@@ -26,52 +26,52 @@ FEWEST_IN_HALF = 6  # photos, by which a change over time is judged
 _GROUPS = 20  # of radii in a picture
 
 
-def corner(seen: Observations, gains: Gains) -> tuple[float, float]:
+def corner(observations: Observations, gains: Gains) -> tuple[float, float]:
     """Light at half a diagonal from the principal point against the middle's, EV, and its standard error."""
-    return slope_on(seen.radii2, gains.data, gains.fit)
+    return slope_on(observations.radii2, gains.data, gains.fit)
 
 
-def slope_on(radii2: np.ndarray, data: Table, found: Fit) -> tuple[float, float]:
+def slope_on(radii2: np.ndarray, data: Table, solution: Fit) -> tuple[float, float]:
     """Slope of the logarithms on squared radii `[O]`, and its standard error.
 
     What photos and points explain is taken out of both first: what counts is one point nearer to the middle in one
     photo than in another. Observations of a photo count as one in the error, since what the model leaves of it is
     shared.
     """
-    weights = found.weights
+    weights = solution.weights
     across = project(radii2[data.rows][:, None], data, weights)[1][:, 0]
-    light = found.residuals.mean(1)
+    light = solution.residuals.mean(1)
     leverage = max(float(weights @ np.square(across)), 1e-12)
     slope = float(weights @ (across * light)) / leverage
     scores = np.bincount(data.photo, weights * across * (light - slope * across), data.num_photos)
     return slope, float(np.sqrt(np.square(scores).sum()) / leverage)
 
 
-def profile(seen: Observations, gains: Gains) -> tuple[np.ndarray, np.ndarray, float]:
+def profile(observations: Observations, gains: Gains) -> tuple[np.ndarray, np.ndarray, float]:
     """For a picture: squared radii `[B]`, the light there against the middle's `[B]` in EV, and the corner's."""
     data, weights = gains.data, gains.fit.weights
-    radii = seen.radii2[data.rows]
+    radii = observations.radii2[data.rows]
     across = project(radii[:, None], data, weights)[1][:, 0]
-    slope, _ = corner(seen, gains)
+    slope, _ = corner(observations, gains)
     light = gains.fit.residuals.mean(1) + slope * (radii - across)
     groups = np.array_split(np.argsort(radii), min(_GROUPS, len(radii)))
     means = [(radii[rows].mean(), light[rows].mean()) for rows in groups]
     return *np.array(means).T, slope  # pyright: ignore[reportReturnType]
 
 
-def halves(seen: Observations, gains: Gains) -> list[tuple[float, float]]:
+def halves(observations: Observations, gains: Gains) -> list[tuple[float, float]]:
     """`corner` of the earlier and of the later photos, in the order of their names; empty where they are too few."""
-    half = len(seen.frames) // 2
+    half = len(observations.frames) // 2
     if half < FEWEST_IN_HALF:
         return []
     early = gains.data.photo < half
-    found = []
-    for chosen in (early, ~early):
-        part = gains.data.only(chosen)
+    corners = []
+    for rows in (early, ~early):
+        part = gains.data.only(rows)
         if len(np.unique(part.photo)) < FEWEST_IN_HALF:
             return []
-        found.append(slope_on(seen.radii2[gains.data.rows[chosen]], part, fit(part)))
-    return found
+        corners.append(slope_on(observations.radii2[gains.data.rows[rows]], part, fit(part)))
+    return corners
 
 
 def judge(findings: "Findings") -> Evidence:
@@ -91,9 +91,9 @@ def judge(findings: "Findings") -> Evidence:
     return Evidence(bool(on), -slope, "EV", error, THRESHOLD, note)
 
 
-def simulate(begun: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
+def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
     """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
-    return make_effect(begun.falloff, begun.camera[begun.trained], rate())
+    return make_effect(start_values.falloff, start_values.camera[start_values.trained], rate())
 
 
 def make_effect(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:

@@ -117,14 +117,14 @@ def compare_to_surface(
     mesh, truth = _with_area(mesh), _with_area(truth)
     points, normals = _samples_in_box(mesh, low, high, samples, seed)
     feet, there = closest(truth, points)
-    seen = nearest(feet, seen_points)[0] <= _reach(seen_points)
-    if not seen.any():
+    is_visible = nearest(feet, seen_points)[0] <= _reach(seen_points)
+    if not is_visible.any():
         raise NoSurfaceError(f"no surface of the mesh ({mesh.num_faces} faces) lies where cameras saw the truth")
     touched, back = closest(mesh, seen_points)
     return _scores(
-        np.linalg.norm(points - feet, axis=1)[seen],
+        np.linalg.norm(points - feet, axis=1)[is_visible],
         np.linalg.norm(seen_points - touched, axis=1),
-        _cosines(normals, face_normals(truth)[there])[seen],
+        _cosines(normals, face_normals(truth)[there])[is_visible],
         _cosines(seen_normals, face_normals(mesh)[back]),
         threshold,
     )
@@ -178,8 +178,8 @@ def _reach(points: np.ndarray) -> float:
 
 def _with_area(mesh: Mesh) -> Mesh:
     """The mesh without triangles that have no area, hence no normal."""
-    kept = np.any(face_area_vectors(mesh) != 0, axis=1)
-    return Mesh(mesh.vertices, mesh.faces[kept], mesh.colors)
+    has_area = np.any(face_area_vectors(mesh) != 0, axis=1)
+    return Mesh(mesh.vertices, mesh.faces[has_area], mesh.colors)
 
 
 def _scores(

@@ -114,9 +114,9 @@ def _kind(graph: Graph) -> str:
             if min(map(np.min, weights)) < 0:
                 raise InputError(f"{graph.file}: has negative weights, which LPIPS does not")
             return name
-    found = ", ".join(str(len(each)) for each in [*features, *weights])
-    raise InputError(f"{graph.file}: gives {found} channels and weights; known are {_known()}")
+    channel_counts = ", ".join(str(len(each)) for each in [*features, *weights])
+    raise InputError(f"{graph.file}: gives {channel_counts} channels and weights; known are {_channels_of_networks()}")
 
 
-def _known() -> str:
+def _channels_of_networks() -> str:
     return "; ".join(f"{name}, {' '.join(map(str, channels))} twice" for name, channels in CHANNELS.items())

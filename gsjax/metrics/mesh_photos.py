@@ -19,7 +19,12 @@ COVERED = 1 - 1e-6  # Of a pixel's rays, that must hit the mesh where it is comp
 
 
 def score_appearance(
-    mesh: Mesh, shading: Shading, gaussians: Gaussians, frames: tuple[Frame, ...], background: str, found: PhotoEffects
+    mesh: Mesh,
+    shading: Shading,
+    gaussians: Gaussians,
+    frames: tuple[Frame, ...],
+    background: str,
+    effects: PhotoEffects,
 ) -> dict[str, Any]:
     """Scores over the pixels that the mesh covers as a whole: what it leaves open is reported, not scored.
 
@@ -29,11 +34,11 @@ def score_appearance(
         gaussians: What it is compared with.
         frames: Photos that neither was made from.
         background: Of the Gaussians, as of `gsjax.metrics.photos.score_images`.
-        found: As of `score_images`; its `appearances`, which see the answer or a photo's own tracks, are left out.
+        effects: As of `score_images`; its `appearances`, which see the answer or a photo's own tracks, are left out.
 
     Returns:
         `mesh_psnr` and `mesh_ssim`; `covered_psnr` and `covered_ssim`, of the Gaussians at the same pixels; with
-        `found.near_appearances` the same with `_near_gains`. `mesh_covers`, the share of the valid pixels, None where
+        `effects.near_appearances` the same with `_near_gains`. `mesh_covers`, the share of the valid pixels, None where
         there are none. Scores are None where no frame shows the mesh; all is empty without frames.
     """
     if not frames:
@@ -41,12 +46,12 @@ def score_appearance(
     draw = partial(smooth_pictures, mesh, shading=shading)
     pairs = zip(frames, draw([frame_camera(frame) for frame in frames]), strict=True)
     covered = [_covered(frame, picture) for frame, picture in pairs]
-    seen = tuple(frame for frame, share in covered if share)
+    scored_frames = tuple(frame for frame, share in covered if share)
     shares = [share for _, share in covered if share is not None]
-    found = found._replace(appearances={})
+    effects = effects._replace(appearances={})
     scores = {
-        "mesh": score_pictures(draw, seen, color_behind_all(background, found), found=found),
-        "covered": score_images(gaussians, seen, background, found=found),
+        "mesh": score_pictures(draw, scored_frames, color_behind_all(background, effects), found=effects),
+        "covered": score_images(gaussians, scored_frames, background, found=effects),
     }
     named = {f"{of}_{name}": value for of, each in scores.items() for name, value in each.items() if name != "views"}
     return named | {"mesh_covers": float(np.mean(shares)) if shares else None}
@@ -57,8 +62,8 @@ def _covered(frame: Frame, picture: Picture) -> tuple[Frame, float | None]:
     is_whole = picture.alphas > COVERED
 
     def pixels() -> Pixels:
-        shown = frame.pixels()
-        return shown._replace(valid=255 * (is_whole & _valid(shown)).astype(np.uint8))
+        original = frame.pixels()
+        return original._replace(valid=255 * (is_whole & _valid(original)).astype(np.uint8))
 
     valid = _valid(frame.pixels())
     return replace(frame, pixels=pixels, masked=True), float(is_whole[valid].mean()) if valid.any() else None

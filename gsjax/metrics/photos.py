@@ -65,9 +65,9 @@ def score_images(
     return score_pictures(draw, frames, color, measures=measures, found=found, align=align, observe=observe)
 
 
-def color_behind_all(background: str, found: PhotoEffects) -> np.ndarray:
+def color_behind_all(background: str, effects: PhotoEffects) -> np.ndarray:
     """What is behind the Gaussians, and behind the mattes of photos that are compared with them."""
-    return BACKGROUND_COLORS[background] if found.background is None else found.background
+    return BACKGROUND_COLORS[background] if effects.background is None else effects.background
 
 
 def score_pictures(
@@ -110,12 +110,17 @@ def score_pictures(
             masked.append(frame.name)
             continue
         lit = {way: _as_taken(looks, frame, None if matte is None else color) for way, looks in lights.items()}
-        shown = [picture]
+        pictures = [picture]
         if align:
-            shown += draw([align(frame_camera(frame), target, valid, partial(_taken, draw, lit["_track_gains"]))])
+            pictures += draw(
+                [align(frame_camera(frame), target, valid, partial(_photographs, draw, lit["_track_gains"]))]
+            )
         renders = []
-        for each in shown:
-            of_way = {"": each.colors, **{way: taken(each).colors for way, taken in lit.items() if way in ways}}
+        for each in pictures:
+            of_way = {
+                "": each.colors,
+                **{way: photograph(each).colors for way, photograph in lit.items() if way in ways},
+            }
             if found.appearances:
                 of_way["_fitted"] = np.clip(fit_colors(each.colors, target, valid), 0, 1)
             renders += [of_way[way] for way in ways]
@@ -130,12 +135,12 @@ def score_pictures(
     return {**dict(zip((*names, *measures), means, strict=True)), "views": len(scores)}
 
 
-def _taken(
+def _photographs(
     draw: Callable[[Sequence[Camera]], Iterable[Picture]],
-    taken: Callable[[Picture], Picture],
+    photograph: Callable[[Picture], Picture],
     cameras: Sequence[Camera],
 ) -> list[Picture]:
-    return [taken(picture) for picture in draw(cameras)]
+    return [photograph(picture) for picture in draw(cameras)]
 
 
 def _as_taken(looks: Mapping[str, Appearance], frame: Frame, under: np.ndarray | None) -> Callable[[Picture], Picture]:

@@ -49,25 +49,25 @@ def _with_maps(frames: tuple[Frame, ...], truth: Truth) -> tuple[Frame, ...]:
 
 def _score_depths(depths: Iterable[np.ndarray], frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:
     """Errors of depth maps `[H, W]`, one a frame, and of their normals against true maps, where there are any."""
-    found, true, objects, depth_errors = [], [], [], []
+    normals, true, objects, depth_errors = [], [], [], []
     for frame, depth in zip(frames, depths, strict=True):
         is_object = np.ones(depth.shape, bool)
         if frame.name in truth.labels:
             labels = truth.labels[frame.name]()
             is_object = (labels != SKY) & (labels != GROUND)
         if frame.name in truth.normals:
-            found.append(np.asarray(depth_normals(jnp.asarray(depth), frame_camera(frame))).reshape(-1, 3))
+            normals.append(np.asarray(depth_normals(jnp.asarray(depth), frame_camera(frame))).reshape(-1, 3))
             true.append(truth.normals[frame.name]().reshape(-1, 3))
             objects.append(is_object.reshape(-1))
         if frame.name in truth.depths:
-            known = truth.depths[frame.name]()
-            both = is_object & (known > 0) & (depth > 0)
-            depth_errors.append(np.abs(known - depth)[both])
+            true_depth = truth.depths[frame.name]()
+            both = is_object & (true_depth > 0) & (depth > 0)
+            depth_errors.append(np.abs(true_depth - depth)[both])
     figures: dict[str, Any] = {}
-    if found:
-        maps, known, mask = np.concatenate(found), np.concatenate(true), np.concatenate(objects)
-        on_objects = geometry.normal_error_degrees(maps, known, mask)
-        anywhere = geometry.normal_error_degrees(maps, known, np.ones_like(mask))
+    if normals:
+        maps, true_normals, mask = np.concatenate(normals), np.concatenate(true), np.concatenate(objects)
+        on_objects = geometry.normal_error_degrees(maps, true_normals, mask)
+        anywhere = geometry.normal_error_degrees(maps, true_normals, np.ones_like(mask))
         figures |= {
             "normal_error_deg": on_objects["mean"],
             "normal_error_median_deg": on_objects["median"],

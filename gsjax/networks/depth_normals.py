@@ -41,10 +41,10 @@ class DepthNormals:
         Raises:
             InputError: The photo cannot be read, or the graph does not serve it.
         """
-        seen, fit = self._fitted(frame)
+        estimate, fit = self._fitted(frame)
         if fit.fault is not None:
             return np.zeros((frame.height, frame.width, 3), np.float32), fit
-        normals = normals_of_depth(self._depth(seen, fit), _camera(frame, seen), self.reduction)
+        normals = normals_of_depth(self._depth(estimate, fit), _camera(frame, estimate), self.reduction)
         return resize_normals(normals, frame.width, frame.height), fit
 
     @cached_property
@@ -52,29 +52,29 @@ class DepthNormals:
         """The windows of the normals: as wide as the noise of some photos requires, see `chosen_reduction`."""
         views = []
         for frame in _spread(self.frames):
-            seen, fit = self._fitted(frame)
+            estimate, fit = self._fitted(frame)
             if fit.fault is None and len(views) < VIEWS_FOR_NOISE:
-                depth, camera = jnp.asarray(self._depth(seen, fit)), _camera(frame, seen)
+                depth, camera = jnp.asarray(self._depth(estimate, fit)), _camera(frame, estimate)
                 views.append((depth, surface(depth, camera), camera))
         return chosen_reduction(views)
 
     def _fitted(self, frame: Frame) -> tuple[NetworkDepth, DepthFit]:
-        seen = self.estimator(frame)
+        estimate = self.estimator(frame)
         points, rays = self.tracks.get(frame.name, (np.zeros(0, np.int64), np.zeros((0, 2))))
         depths = self.points[points] @ frame.viewmat[2, :3] + frame.viewmat[2, 3]
-        height, width = seen.values.shape
-        x, y = np.floor(rays * seen.K[[0, 1], [0, 1]] + seen.K[:2, 2]).astype(int).T
+        height, width = estimate.values.shape
+        x, y = np.floor(rays * estimate.K[[0, 1], [0, 1]] + estimate.K[:2, 2]).astype(int).T
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (depths > 0)
-        inside[inside] &= seen.valid[y[inside], x[inside]]
-        return seen, fit_depth(seen.values[y[inside], x[inside]], depths[inside], self.estimator.network.kind)
+        inside[inside] &= estimate.valid[y[inside], x[inside]]
+        return estimate, fit_depth(estimate.values[y[inside], x[inside]], depths[inside], self.estimator.network.kind)
 
-    def _depth(self, seen: NetworkDepth, fit: DepthFit) -> np.ndarray:
-        return fitted_depth(seen.values, fit, self.estimator.network.kind) * seen.valid
+    def _depth(self, estimate: NetworkDepth, fit: DepthFit) -> np.ndarray:
+        return fitted_depth(estimate.values, fit, self.estimator.network.kind) * estimate.valid
 
 
-def _camera(frame: Frame, seen: NetworkDepth) -> Camera:
-    height, width = seen.values.shape
-    return Camera(jnp.asarray(frame.viewmat), jnp.asarray(seen.K), width, height)
+def _camera(frame: Frame, estimate: NetworkDepth) -> Camera:
+    height, width = estimate.values.shape
+    return Camera(jnp.asarray(frame.viewmat), jnp.asarray(estimate.K), width, height)
 
 
 def _spread(frames: Sequence[Frame]) -> list[Frame]:

@@ -124,23 +124,23 @@ N = TypeVar("N", bound=Network)
 
 
 def read_record(
-    network: str | Path, known: Mapping[str, N], kind_of: Callable[[Mapping[str, Any]], type[N]]
+    network: str | Path, records: Mapping[str, N], kind_of: Callable[[Mapping[str, Any]], type[N]]
 ) -> tuple[str, N]:
     """Return a network's name and record.
 
     Args:
-        network: A name of `known`, or a JSON file.
-        known: The records that have a name.
+        network: A name of `records`, or a JSON file.
+        records: Those that have a name, by it.
         kind_of: What a file holds -> the kind of record that it is to be read as.
 
     Raises:
         InputError: It is neither a known name nor a file, or the file is no such record; names the key.
     """
-    if str(network) in known:
-        return str(network), known[str(network)]
+    if str(network) in records:
+        return str(network), records[str(network)]
     file = Path(network)
     if not file.is_file():
-        names = ", ".join(known)
+        names = ", ".join(records)
         raise InputError(f"--network {network}: neither a known network ({names}) nor a file that describes one")
     data = json_files.read(file)
     if not isinstance(data, Mapping):
@@ -258,11 +258,11 @@ class CanvasFit(NamedTuple):
 def canvas_fit(size: Size, width: int, height: int, fixed: tuple[int | None, int | None] = (None, None)) -> CanvasFit:
     """Where a photo of `width` x `height` pixels goes; `fixed` are the height and width that a graph insists on."""
     scale = 1.0 if size.longest is None else size.longest / max(width, height)
-    wanted = _canvas(size, width, height, scale)
-    canvas = (fixed[0] or wanted[0], fixed[1] or wanted[1])
+    ideal = _canvas(size, width, height, scale)
+    canvas = (fixed[0] or ideal[0], fixed[1] or ideal[1])
     if size.fit == "stretch":
         return CanvasFit(canvas, 0, 0, *canvas)
-    if size.rule != "multiple" or canvas != wanted:
+    if size.rule != "multiple" or canvas != ideal:
         scale = min(canvas[0] / height, canvas[1] / width)
     inner = [min(max(1, round(scale * side)), most) for side, most in zip((height, width), canvas, strict=True)]
     return CanvasFit(canvas, (canvas[0] - inner[0]) // 2, (canvas[1] - inner[1]) // 2, *inner)

@@ -95,9 +95,9 @@ def _picture_input(network: Network, graph: Graph) -> tuple[Port, str]:
         if len(port.shape) != 4 or port.dtype not in FLOATS.values() or port.shape[0] not in (None, 1):
             continue
         at = {"NCHW": port.shape[1], "NHWC": port.shape[3]}
-        told = [layout for layout in at if at[layout] == 3]
-        if told or at[network.layout] is None:
-            return port, network.layout if network.layout in told or not told else told[0]
+        layouts = [layout for layout in at if at[layout] == 3]
+        if layouts or at[network.layout] is None:
+            return port, network.layout if network.layout in layouts or not layouts else layouts[0]
     raise InputError(f"{graph.file}: takes no picture of three channels; its inputs are {_listed(graph.inputs)}")
 
 
@@ -113,19 +113,19 @@ def _extra_inputs(network: Network, graph: Graph, picture: Port) -> list[tuple[P
     return [(port, kinds[port.name]) for port in ports]
 
 
-def output_names(graph: Graph, wanted: Sequence[Output | Confidence]) -> list[str | None]:
+def output_names(graph: Graph, outputs: Sequence[Output | Confidence]) -> list[str | None]:
     """The graph's names of the wanted outputs: by name, or by place where all names are foreign; None: not there."""
     names = [port.name for port in graph.outputs]
-    foreign = not any(name in names for output in wanted for name in output.names)
-    return [_output_name(output, names, foreign) for output in wanted]
+    foreign = not any(name in names for output in outputs for name in output.names)
+    return [_output_name(output, names, foreign) for output in outputs]
 
 
-def needed_output(graph: Graph, output: Output, found: str | None, what: str) -> str:
+def needed_output(graph: Graph, output: Output, name: str | None, what: str) -> str:
     """The name of an output that must be there; `what` it is, in words."""
-    if found is None:
+    if name is None:
         looked_for = " or ".join(output.names) or f"output {output.place}"
         raise InputError(f"{graph.file}: gives no {what} ({looked_for}); its outputs are {_listed(graph.outputs)}")
-    return found
+    return name
 
 
 def _output_name(output: Output | Confidence, names: list[str], by_place: bool) -> str | None:

@@ -43,9 +43,9 @@ class Segmenter(Runner):
         frame = frame_of(name, np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32), pixels)
         (output,) = self.outputs(frame, pixels, [self._output])
         evidence, bound = self._evidence(output)
-        shown = self.output_map(evidence, 1, self.place(frame), "a class, one value")
-        shown = self.finite(shown, np.ones(shown.shape[:2], bool), frame)
-        return resample(shown, frame.width, frame.height).reshape(picture.shape[:2]) > bound
+        evidence_map = self.output_map(evidence, 1, self.place(frame), "a class, one value")
+        evidence_map = self.finite(evidence_map, np.ones(evidence_map.shape[:2], bool), frame)
+        return resample(evidence_map, frame.width, frame.height).reshape(picture.shape[:2]) > bound
 
     def _evidence(self, output: np.ndarray) -> tuple[np.ndarray, float]:
         """One number a pixel, and above what it says that the pixel shows one of the chosen classes."""
@@ -76,10 +76,10 @@ def chosen_classes(network: MaskNetwork, names: Sequence[str] | None) -> tuple[s
     things = tuple(name for name in network.classes if name != BACKGROUND)
     if names is None and len(things) != 1:
         raise InputError(f"--classes: the network knows {', '.join(network.classes)}; name those to mask out")
-    chosen = things if names is None else tuple(names)
-    for name in chosen:
+    classes = things if names is None else tuple(names)
+    for name in classes:
         if name not in network.classes:
             raise InputError(f"--classes {name}: the network knows {', '.join(network.classes)}")
-    if not chosen or (network.kind != "probability" and set(chosen) == set(network.classes)):
-        raise InputError(f"--classes {','.join(chosen)}: must be some of {', '.join(network.classes)}, and not all")
-    return chosen
+    if not classes or (network.kind != "probability" and set(classes) == set(network.classes)):
+        raise InputError(f"--classes {','.join(classes)}: must be some of {', '.join(network.classes)}, and not all")
+    return classes

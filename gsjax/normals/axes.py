@@ -22,12 +22,12 @@ def axis_signs(axes: str) -> np.ndarray:
     Raises:
         InputError: They are neither.
     """
-    written = re.fullmatch("([+-])x([+-])y([+-])z", NAMED_AXES.get(axes, axes))
-    if written is None:
+    match = re.fullmatch("([+-])x([+-])y([+-])z", NAMED_AXES.get(axes, axes))
+    if match is None:
         raise InputError(
             f"--normal-axes {axes}: expected three signs such as +x-y-z, or one of {', '.join(NAMED_AXES)}"
         )
-    return np.array([float(f"{sign}1") for sign in written.groups()], np.float32)
+    return np.array([float(f"{sign}1") for sign in match.groups()], np.float32)
 
 
 def written_axes(signs: np.ndarray) -> str:
@@ -74,9 +74,9 @@ def axes_verdict(votes: np.ndarray, *, fewest: int = 100, majority: float = 0.8)
         majority: Share of them that it takes.
     """
     total = votes.sum(axis=-1)
-    told = total >= fewest
-    for_others = told & (votes[:, 1] > majority * total)
-    for_these = told & (votes[:, 0] > majority * total)
+    is_decisive = total >= fewest
+    for_others = is_decisive & (votes[:, 1] > majority * total)
+    for_these = is_decisive & (votes[:, 0] > majority * total)
     if for_others.any():
         # Of those that serve about as well, the one that mirrors least: what cannot be told is not accused.
         best = for_others & (votes[:, 1] >= 0.9 * votes[for_others, 1].max())
@@ -138,8 +138,8 @@ def _unit_pairs(
     both = np.flatnonzero(np.any(normals, axis=-1) & np.any(reference, axis=-1))
     largest = np.abs(reference.reshape(-1, 3)[both]).argmax(axis=-1)
     kinds = [both[largest == axis] for axis in range(3)]
-    chosen = np.concatenate([rng.choice(kind, min(count // 3, len(kind)), replace=False) for kind in kinds])
-    pairs = [m.reshape(-1, 3)[chosen].astype(np.float64) for m in (normals, reference)]
+    indices = np.concatenate([rng.choice(kind, min(count // 3, len(kind)), replace=False) for kind in kinds])
+    pairs = [m.reshape(-1, 3)[indices].astype(np.float64) for m in (normals, reference)]
     lengths = [np.linalg.norm(p, axis=-1, keepdims=True) for p in pairs]
     long = (lengths[0][:, 0] > 0.5) & (lengths[1][:, 0] > 0.5)
     return pairs[0][long] / lengths[0][long], pairs[1][long] / lengths[1][long]

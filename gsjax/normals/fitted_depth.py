@@ -56,14 +56,14 @@ def fit_depth(values: np.ndarray, depths: np.ndarray, kind: Kind) -> DepthFit:
     Returns:
         A `DepthFit`, of scale 0 where there are too few points or all have one value.
     """
-    wanted = 1 / depths if kind == "disparity" else depths
-    rows = np.stack([values, np.ones_like(values)], -1).astype(np.float64) / wanted[:, None]
-    flat = float(np.median(wanted)) if len(wanted) else 0.0
+    targets = 1 / depths if kind == "disparity" else depths
+    rows = np.stack([values, np.ones_like(values)], -1).astype(np.float64) / targets[:, None]
+    flat = float(np.median(targets)) if len(targets) else 0.0
     if len(values) < FEWEST_POINTS or not np.ptp(values) > 0:
         return DepthFit(0.0, flat, np.inf, 0.0, len(values))
     best = _reweighted(rows, _best_pair(rows))
     error = float(np.median(np.abs(rows @ best - 1)))
-    of_one_value = float(np.median(np.abs(flat / wanted - 1)))
+    of_one_value = float(np.median(np.abs(flat / targets - 1)))
     explained = 1 - (error / max(of_one_value, 1e-12)) ** 2
     if np.mean(rows @ best > 0) < LEAST_POSITIVE:
         explained = 0.0
@@ -83,13 +83,13 @@ def edges(depth: Array, camera: Camera) -> Array:
 
     A network draws the edge of an object as a slope from it to what lies behind, some pixels wide.
     """
-    known = depth > 0
-    inverse = jnp.where(known, 1 / jnp.where(known, depth, 1), 0)
+    is_known = depth > 0
+    inverse = jnp.where(is_known, 1 / jnp.where(is_known, depth, 1), 0)
     padded = jnp.pad(inverse, 1, mode="edge")
     along_x = 0.5 * (padded[1:-1, 2:] - padded[1:-1, :-2]) * camera.K[0, 0]
     along_y = 0.5 * (padded[2:, 1:-1] - padded[:-2, 1:-1]) * camera.K[1, 1]
     steep = jnp.hypot(along_x, along_y) > np.tan(np.radians(STEEPEST)) * inverse
-    around = jnp.pad(steep | ~known, 1)
+    around = jnp.pad(steep | ~is_known, 1)
     height, width = depth.shape
     shifted = [around[y : y + height, x : x + width] for y in range(3) for x in range(3)]
     return jnp.any(jnp.stack(shifted), axis=0)
@@ -118,13 +118,13 @@ def _best_pair(rows: np.ndarray) -> np.ndarray:
 
 
 def _reweighted(rows: np.ndarray, start: np.ndarray) -> np.ndarray:
-    found = start
+    solution = start
     for _ in range(_ROUNDS):
-        residuals = np.abs(rows @ found - 1)
+        residuals = np.abs(rows @ solution - 1)
         deviation = _MAD * max(float(np.median(residuals)), 1e-7)
         weights = np.square(np.maximum(1 - np.square(residuals / (_TUKEY * deviation)), 0))
         normal = np.einsum("pi,p,pj->ij", rows, weights, rows)
         if np.linalg.cond(normal) > 1e14:
-            return found
-        found = np.linalg.solve(normal, np.einsum("pi,p->i", rows, weights))
-    return found
+            return solution
+        solution = np.linalg.solve(normal, np.einsum("pi,p->i", rows, weights))
+    return solution

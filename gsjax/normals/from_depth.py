@@ -166,8 +166,8 @@ def _fit_planes(values: Array, weights: Array) -> tuple[Array, Array]:
     """
     weighted = weights * values
     along_x = _moments(jnp.stack([weights] * 3 + [weighted] * 2 + [weighted * values]), (0, 1, 2, 0, 1, 0), axis=2)
-    chosen = along_x[jnp.array([0, 1, 0, 2, 1, 0, 3, 4, 3, 5])]
-    mass, x, y, xx, xy, yy, v, vx, vy, vv = _moments(chosen, (0, 0, 1, 0, 1, 2, 0, 0, 1, 0), axis=1)
+    moments = along_x[jnp.array([0, 1, 0, 2, 1, 0, 3, 4, 3, 5])]
+    mass, x, y, xx, xy, yy, v, vx, vy, vv = _moments(moments, (0, 0, 1, 0, 1, 2, 0, 0, 1, 0), axis=1)
     # Coordinates are in units of sigma, moments of order 1: the ridge only decides where a window is all but empty.
     rows = [[mass + 1e-6, x, y], [x, xx + 1e-3, xy], [y, xy, yy + 1e-3]]
     first, second, third = (jnp.stack(row, axis=-1) for row in rows)

@@ -37,5 +37,5 @@ def sparse_depth(rays: np.ndarray, depths: np.ndarray, K: np.ndarray, shape: tup
     residual = np.einsum("pki,pi->pk", rows, planes) - inverse
     misfit = np.sqrt(np.sum(weights * residual**2, -1) / np.sum(weights, -1))
     value = planes[:, 0]
-    known = (value > 0) & (misfit < LARGEST_MISFIT * value) & (distances[:, 0] < REACH * spacing)
-    return np.where(known, 1 / np.where(known, value, 1), 0).reshape(shape).astype(np.float32)
+    is_known = (value > 0) & (misfit < LARGEST_MISFIT * value) & (distances[:, 0] < REACH * spacing)
+    return np.where(is_known, 1 / np.where(is_known, value, 1), 0).reshape(shape).astype(np.float32)

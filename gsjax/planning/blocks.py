@@ -74,13 +74,13 @@ def _cut(places: np.ndarray, count: int, cell: Cell) -> list[Cell]:
     ]
 
 
-def photos_of(cell: Cell, places: np.ndarray, seen: Sequence[np.ndarray]) -> np.ndarray:
+def photos_of(cell: Cell, places: np.ndarray, points_of_photos: Sequence[np.ndarray]) -> np.ndarray:
     """`[V]` bool: the photos that a block is trained on.
 
     Args:
         cell: Its cell.
         places: `[V, 2]` of the cameras.
-        seen: `[P_v, 2]` places of the points that each photo sees.
+        points_of_photos: `[P_v, 2]` places of the points that each photo sees.
     """
-    sees = [len(points) > 0 and float(cell.holds(points).mean()) >= SEEN for points in seen]
+    sees = [len(points) > 0 and float(cell.holds(points).mean()) >= SEEN for points in points_of_photos]
     return cell.grown(places).holds(places) | np.array(sees)

@@ -95,13 +95,16 @@ def budgeted(
         whole, compiling = measure(*scenes[name])
     spent = time.perf_counter() - began + compiling  # The run compiles its own programs.
     part = max(((1 - RESERVED) * seconds - spent) / whole, 0.0)
-    chosen = lasting(settings, min(part, 1.0) if name == LENGTHS[-1] else part)
-    if chosen.schedule.steps < FEWEST_STEPS:
+    run_settings = lasting(settings, min(part, 1.0) if name == LENGTHS[-1] else part)
+    if run_settings.schedule.steps < FEWEST_STEPS:
         least = math.ceil((spent + FEWEST_STEPS * whole / settings.schedule.steps) / (1 - RESERVED))
         raise InputError(
             f"--budget of {seconds:g} s is too short: even {FEWEST_STEPS} steps take {least} s here in all"
         )
-    return chosen, f"{name} in {chosen.schedule.steps:,} steps, with up to {chosen.model.max_gaussians:,} Gaussians"
+    return (
+        run_settings,
+        f"{name} in {run_settings.schedule.steps:,} steps, with up to {run_settings.model.max_gaussians:,} Gaussians",
+    )
 
 
 def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
@@ -143,11 +146,11 @@ def _grown(scene: Scene, settings: Settings) -> Gaussians:
     """As many Gaussians as the run ends with, about the points of the scene."""
     points, most = scene.points, settings.model.max_gaussians
     count = most if settings.density.rule == "error" else min(most, GROWN * len(points))
-    chosen = np.resize(np.random.default_rng(0).permutation(len(points)), count)
-    spacing = KDTree(points).query(points, min(4, len(points)))[0].reshape(len(points), -1)[chosen, -1:]
-    means = points[chosen] + np.random.default_rng(1).normal(size=(count, 3)) * spacing / 2
+    indices = np.resize(np.random.default_rng(0).permutation(len(points)), count)
+    spacing = KDTree(points).query(points, min(4, len(points)))[0].reshape(len(points), -1)[indices, -1:]
+    means = points[indices] + np.random.default_rng(1).normal(size=(count, 3)) * spacing / 2
     how = {"sh_degree": settings.model.sh_degree, "pixel_filter": settings.model.pixel_filter, "opacity": 0.5}
-    gaussians = initialize.from_points(means.astype(np.float32), scene.point_colors[chosen], capacity=count, **how)
+    gaussians = initialize.from_points(means.astype(np.float32), scene.point_colors[indices], capacity=count, **how)
     return replace(gaussians, log_scales=gaussians.log_scales + math.log(WIDENED))
 
 

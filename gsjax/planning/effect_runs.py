@@ -69,8 +69,10 @@ class EffectRuns:
         if state.effects is not None:
             numbers = {name: self._numbers(name, each, on) for name, each in program.effects.items()}
             state = replace(state, effects=replace(state.effects, numbers=numbers))
-        shown = [_without_pixels(frame, blocks) for frame, blocks in zip(self.frames, self.held_out, strict=True)]
-        state = program.variant.train(shown, state, observe)
+        training_frames = [
+            _without_pixels(frame, blocks) for frame, blocks in zip(self.frames, self.held_out, strict=True)
+        ]
+        state = program.variant.train(training_frames, state, observe)
         return self._pictures(state, start_values, names)
 
     def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> Validated:
@@ -124,8 +126,8 @@ class EffectRuns:
             on = EffectState(numbers, {})
             looks, moved = appearances(start_values, on), moves(start_values, on)
             behind = np.asarray(numbers.get("background", behind))
-        given = [moved[frame.name].apply(frame) if frame.name in moved else frame for frame in self.frames]
-        small = [_reduced(frame, self._scale) for frame in given]
+        frames = [moved[frame.name].apply(frame) if frame.name in moved else frame for frame in self.frames]
+        small = [_reduced(frame, self._scale) for frame in frames]
         cameras = [Camera(frame.viewmat, frame.K, frame.width, frame.height) for frame in small]
         gaussians: Gaussians = jax.tree.map(jnp.asarray, state.gaussians)
         pictures = gallery.pictures(gaussians, cameras, behind, self.settings.model.depth_mode)
@@ -147,9 +149,9 @@ def switchable(effect: Effect) -> Effect:
     Off, it changes nothing but the light behind all, which is that of its numbers, and learns nothing.
     """
 
-    def camera(numbers, given: Camera, photo: Array) -> Camera:
+    def camera(numbers, original: Camera, photo: Array) -> Camera:
         assert effect.camera is not None
-        return _where(numbers[0], effect.camera(numbers[1], given, photo), given)
+        return _where(numbers[0], effect.camera(numbers[1], original, photo), original)
 
     def behind(numbers, view: Camera) -> Array:
         assert effect.behind is not None
@@ -190,23 +192,23 @@ def held_out_blocks(frame: Frame, index: int) -> np.ndarray:
     return (column + 2 * row + index) % EVERY == 0
 
 
-def without_blocks(seen: Observations, frames: Sequence[Frame], held_out: Sequence[np.ndarray]) -> Observations:
+def without_blocks(observations: Observations, frames: Sequence[Frame], held_out: Sequence[np.ndarray]) -> Observations:
     """The observations of some frames alone, outside of their held-out pixels; the other frames count as held out."""
     blocks = dict(zip((frame.name for frame in frames), held_out, strict=True))
-    stays = np.zeros(len(seen.photo), bool)
-    for index, frame in enumerate(seen.frames):
-        rows = np.flatnonzero(seen.photo == index)
+    stays = np.zeros(len(observations.photo), bool)
+    for index, frame in enumerate(observations.frames):
+        rows = np.flatnonzero(observations.photo == index)
         if frame.name in blocks and len(rows):
-            column, row = np.floor(seen.pixels[rows]).astype(int).T
+            column, row = np.floor(observations.pixels[rows]).astype(int).T
             row, column = np.clip(row, 0, frame.height - 1), np.clip(column, 0, frame.width - 1)
             stays[rows] = ~blocks[frame.name][row, column]
     return replace(
-        seen,
-        frames=tuple(replace(frame, held_out=frame.name not in blocks) for frame in seen.frames),
-        photo=seen.photo[stays],
-        point=seen.point[stays],
-        pixels=seen.pixels[stays],
-        colors=seen.colors[stays],
+        observations,
+        frames=tuple(replace(frame, held_out=frame.name not in blocks) for frame in observations.frames),
+        photo=observations.photo[stays],
+        point=observations.point[stays],
+        pixels=observations.pixels[stays],
+        colors=observations.colors[stays],
     )
 
 

@@ -67,7 +67,7 @@ class EffectValidation:
     extent: float  # camera extent, scene units
     initial: Initial
 
-    def __call__(self, seen: Observations, proposed: Sequence[str], skies: sky.Masks) -> dict[str, Validated]:
+    def __call__(self, observations: Observations, proposed: Sequence[str], skies: sky.Masks) -> dict[str, Validated]:
         """The gain of each proposed effect, added to those before it that passed.
 
         Empty where the run is too short.
@@ -77,9 +77,11 @@ class EffectValidation:
             return {}
         frames = tuple(map(preload, chosen_photos(self.frames)))
         blocks = [held_out_blocks(frame, index) for index, frame in enumerate(frames)]
-        seen = without_blocks(seen, frames, blocks)
+        observations = without_blocks(observations, frames, blocks)
         weight = self.planned.sky_weight
-        runs = EffectRuns(self._short(steps), weight, self.extent, self.initial, proposed, seen, frames, blocks, skies)
+        runs = EffectRuns(
+            self._short(steps), weight, self.extent, self.initial, proposed, observations, frames, blocks, skies
+        )
         total, title = (len(proposed) + 1) * steps, f"validating {', '.join(proposed)}"
         with tqdm(total=total, desc=title, unit="step", leave=False) as bar:
             return select(proposed, partial(runs.predict, observe=bar.update), runs.compare)

@@ -54,16 +54,16 @@ class Looked(NamedTuple):
     left_out: tuple[str, ...] = ()  # names
 
 
-def look_for_effects(asked: str, scene: Scene) -> Looked:
+def look_for_effects(request: str, scene: Scene) -> Looked:
     """The data set as the run trains on it, and what its photos show if the run asks; one line says what was left out.
 
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
-    if asked == NONE:
+    if request == NONE:
         return Looked(scene)
     findings = diagnose_scene(scene)
-    is_asked = asked == AUTO or "blur" in named_effects(asked)
+    is_asked = request == AUTO or "blur" in named_effects(request)
     names = blur.photos_to_leave_out(findings.observations) if is_asked else ()
     if not names:
         return Looked(scene, findings)
@@ -111,11 +111,11 @@ class ChosenEffects:
 
 
 def choose_effects(
-    asked: str,
+    request: str,
     plan: Plan,
     scene: Scene,
     validate: Validate | None = None,
-    looked: Looked | None = None,
+    inspection: Looked | None = None,
     *,
     skies: sky.Masks | None = None,
     with_sky: bool = False,
@@ -124,28 +124,28 @@ def choose_effects(
     """The effects that are named or, of "auto", that the photos show and validation confirms; one line names them.
 
     Args:
-        asked: As `Settings.effects`.
+        request: As `Settings.effects`.
         plan: The run, without effects.
         scene: Its data set, at the size that is trained on.
         validate: Validates, of "auto", what the evidence proposes. None, or a run too short for it: exposure and poses
             alone are simulated, on strong evidence.
-        looked: What `look_for_effects` findings, if it was asked.
+        inspection: What `look_for_effects` findings, if it was asked.
         skies: Where photos show sky, if masks of it were given; with it a background is taken in.
-        with_sky: Whether a sky must be there, whatever `asked` names.
+        with_sky: Whether a sky must be there, whatever `request` names.
         before: The manifest's record of what was decided when this run began; nothing is validated again.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is requested behind mattes.
     """
-    if asked == NONE and skies is None and not with_sky:
+    if request == NONE and skies is None and not with_sky:
         return ChosenEffects()
-    looked = looked or look_for_effects(asked, scene)
-    scene, findings = looked.scene, looked.diagnosis or diagnose_scene(looked.scene)
+    inspection = inspection or look_for_effects(request, scene)
+    scene, findings = inspection.scene, inspection.diagnosis or diagnose_scene(inspection.scene)
     if skies is not None:
         findings = _with_given(findings, skies)
-    is_auto, with_sky = asked == AUTO, with_sky or "sky" in named_effects(asked)
-    wanted, validated = set(named_effects(asked)) - {"sky"}, {}
-    is_on = wanted if not is_auto else {name for name in PROPOSED if findings.effects[name].on}
+    is_auto, with_sky = request == AUTO, with_sky or "sky" in named_effects(request)
+    selection, validated = set(named_effects(request)) - {"sky"}, {}
+    is_on = selection if not is_auto else {name for name in PROPOSED if findings.effects[name].on}
     if _is_laid(findings, plan, is_on & {*SIMULATED}):
         findings = replace(
             findings, effects=findings.effects | {"background": _laid(findings.effects["background"], plan)}
@@ -153,34 +153,34 @@ def choose_effects(
     if is_auto:
         named = {"sky"} if with_sky or skies is not None else set()
         proposed = [name for name in PROPOSED if findings.effects[name].on and name not in named]
-        wanted, validated = _decided(findings, proposed, validate, before)
-        findings = replace(findings, effects=findings.effects | _noted(findings, proposed, wanted, validated))
+        selection, validated = _decided(findings, proposed, validate, before)
+        findings = replace(findings, effects=findings.effects | _noted(findings, proposed, selection, validated))
     skies_in_photos = findings.plain if with_sky and skies is None else findings.sky
-    skies = skies_in_photos if with_sky or skies is not None or "sky" in wanted else {}
-    if skies and not _is_laid(findings, plan, wanted - {"background", "sky"}):
-        wanted.add("background")
-    chosen = [name for name in SIMULATED if name in wanted]
+    skies = skies_in_photos if with_sky or skies is not None or "sky" in selection else {}
+    if skies and not _is_laid(findings, plan, selection - {"background", "sky"}):
+        selection.add("background")
+    names = [name for name in SIMULATED if name in selection]
     if skies:
         print(f"train: {sky.summary(skies, scene.frames)}", file=sys.stderr)
     elif with_sky:
         raise InputError(f"--sky: the photos of {scene.root} show no sky; --sky DIR takes masks of it")
-    simulated = [*chosen, *(["sky"] if skies else [])]
+    simulated = [*names, *(["sky"] if skies else [])]
     print(f"train: {_line(findings, simulated, validated)}", file=sys.stderr)
     evidence = {
         "simulated": simulated,
-        "left_out": list(looked.left_out),
+        "left_out": list(inspection.left_out),
         "evidence": findings.record()["effects"],
         "validated": {name: each._asdict() for name, each in validated.items()},
     }
-    if not chosen:
+    if not names:
         return ChosenEffects(skies=skies, evidence=evidence)
-    if "background" in chosen and any(facts.has_matte for facts in findings.observations.facts):
+    if "background" in names and any(facts.has_matte for facts in findings.observations.facts):
         raise InputError(
-            f"--effects {asked}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
+            f"--effects {request}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
             " leave background out"
         )
-    start_values = start(findings.observations, chosen, skies)
-    return ChosenEffects(simulations(start_values, chosen, _rate(plan)), start_values, evidence, skies)
+    start_values = start(findings.observations, names, skies)
+    return ChosenEffects(simulations(start_values, names, _rate(plan)), start_values, evidence, skies)
 
 
 def _rate(plan: Plan) -> Callable[..., optax.Schedule]:
@@ -209,15 +209,15 @@ def _is_strong(evidence: Evidence) -> bool:
 
 
 def _noted(
-    findings: Diagnosis, proposed: Sequence[str], wanted: Collection[str], validated: Mapping[str, Validated]
+    findings: Diagnosis, proposed: Sequence[str], selection: Collection[str], validated: Mapping[str, Validated]
 ) -> dict[str, Evidence]:
     """The evidence of the proposed effects, with the validated gain and the decision in its note."""
     notes = {}
     for name in proposed:
-        decision = "simulated" if name in wanted else "not simulated"
+        decision = "simulated" if name in selection else "not simulated"
         why = "not validated, the run is too short"
         why = f"gains {validated[name]} in a validation run (needs {WORTH:g})" if name in validated else why
-        why = "part of the sky" if name == "background" and "sky" in wanted else why
+        why = "part of the sky" if name == "background" and "sky" in selection else why
         notes[name] = findings.effects[name]._replace(note=f"{decision}: {why}; {findings.effects[name].note}")
     return notes
 
@@ -240,8 +240,10 @@ def _line(findings: Diagnosis, simulated: Sequence[str], validated: Mapping[str,
 def _with_given(findings: Diagnosis, skies: sky.Masks) -> Diagnosis:
     """The diagnosis with a sky that was given instead of what the photos show."""
     evidence = sky.judge_masks(findings.observations, skies)
-    given = evidence._replace(on=True, note=f"given by --sky: {sky.summary(skies, findings.observations.frames)}")
-    return replace(findings, sky=skies, effects=findings.effects | {"sky": given})
+    sky_evidence = evidence._replace(
+        on=True, note=f"given by --sky: {sky.summary(skies, findings.observations.frames)}"
+    )
+    return replace(findings, sky=skies, effects=findings.effects | {"sky": sky_evidence})
 
 
 def _is_laid(findings: Diagnosis, plan: Plan, light: Collection[str]) -> bool:

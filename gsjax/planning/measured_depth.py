@@ -41,24 +41,24 @@ class _Ratios(NamedTuple):
         return float(np.median(np.abs(np.log(self.values / self.middle))))
 
 
-def measured_depth(scene: Scene, given: Supervision) -> MeasuredDepth | None:
+def measured_depth(scene: Scene, supervision: Supervision) -> MeasuredDepth | None:
     """The depth maps of the training photos, in scene units; None where the settings name none.
 
     Raises:
         InputError: The folder, its unit or a map cannot be used, or the maps do not fit the scene's points.
     """
     frames = scene.train_frames
-    if given.depth is None:
+    if supervision.depth is None:
         if listed := sum(frame.depth is not None for frame in frames):
             print_once(f"{scene.root}: lists depth maps of {listed} of {len(frames)} photos; --depth trains on them")
         return None
-    maps = open_depth_maps(scene.root, given.depth, given.depth_unit, frames)
-    factor, told = _factor(scene, maps)
+    maps = open_depth_maps(scene.root, supervision.depth, supervision.depth_unit, frames)
+    factor, scale_note = _factor(scene, maps)
 
     def depths(scale: int) -> Iterator[Readings]:
         return (_of_frame(maps, frame, factor, scale) for frame in frames)
 
-    notes = "; ".join(note for note in (told, maps.note) if note)
+    notes = "; ".join(note for note in (scale_note, maps.note) if note)
     return MeasuredDepth(depths, f"of {len(maps.read)} of {len(frames)} photos, in {maps.unit}; {notes}")
 
 
@@ -85,10 +85,10 @@ def _factor(scene: Scene, maps: DepthMaps) -> tuple[float, str]:
     if len(ratios.values) < FEWEST:
         return own * metres, "no points tell the scale of the scene, which is taken to be in metres"
     scale = ratios.middle / (own * metres)  # units of the world to a metre
-    told = f"{len(ratios.values):,} points differ from it by {100 * ratios.spread:.1f} %"
+    agreement = f"{len(ratios.values):,} points differ from it by {100 * ratios.spread:.1f} %"
     if abs(scale - 1) < ALIKE:
-        return own * metres, f"the scene is in metres: {told}"
-    return ratios.middle, f"1 m is {scale:.4g} units of the scene: {told}"
+        return own * metres, f"the scene is in metres: {agreement}"
+    return ratios.middle, f"1 m is {scale:.4g} units of the scene: {agreement}"
 
 
 def _ratios(scene: Scene, maps: DepthMaps) -> _Ratios:
@@ -97,16 +97,16 @@ def _ratios(scene: Scene, maps: DepthMaps) -> _Ratios:
         return _Ratios(np.empty(0))
     tracks = scene.tracks()
     numbers = {name: number for number, name in enumerate(tracks.names)}
-    found = []
+    ratios = []
     for frame in scene.train_frames:
         if frame.name not in maps.read or frame.name not in numbers:
             continue
-        seen = tracks.photo == numbers[frame.name]
-        z = scene.points[tracks.point[seen]] @ frame.viewmat[2, :3] + frame.viewmat[2, 3]
-        xy = tracks.rays[seen] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
+        in_photo = tracks.photo == numbers[frame.name]
+        z = scene.points[tracks.point[in_photo]] @ frame.viewmat[2, :3] + frame.viewmat[2, 3]
+        xy = tracks.rays[in_photo] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
         depth, trust = maps.at(frame, 1)
         within = ((xy >= 0) & (xy < (frame.width, frame.height))).all(axis=-1) & (z > 0)
         column, row = np.where(within[:, None], xy, 0).astype(int).T
         measured = np.where(within & (trust[row, column] > TRUSTED), depth[row, column], 0)
-        found.append(z[measured > 0] / measured[measured > 0])
-    return _Ratios(np.concatenate(found) if found else np.empty(0))
+        ratios.append(z[measured > 0] / measured[measured > 0])
+    return _Ratios(np.concatenate(ratios) if ratios else np.empty(0))

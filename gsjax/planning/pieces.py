@@ -19,25 +19,25 @@ def pieces_record(terms: Mapping[str, Any], densification: Any, effects: Mapping
     return {ENTRY: record} if any(record.values()) else {}
 
 
-def require_pieces(run: Run, given: Mapping[str, Any]) -> None:
+def require_pieces(run: Run, record: Mapping[str, Any]) -> None:
     """Refuse to resume a run with other pieces than it was started with.
 
     Args:
         run: The run.
-        given: As `pieces_record` returns it.
+        record: As `pieces_record` returns it.
 
     Raises:
         InputError: A piece is missing, or new.
     """
     started = run.manifest.get(ENTRY)
-    if started != given.get(ENTRY):
+    if started != record.get(ENTRY):
         raise InputError(
-            f"{run.folder}: was started with {_written(started)}, not with {_written(given.get(ENTRY))}; a resumed run"
-            " is handed the same"
+            f"{run.folder}: was started with {_as_arguments(started)}, not with {_as_arguments(record.get(ENTRY))};"
+            " a resumed run is handed the same"
         )
 
 
-def _written(record: Mapping[str, Any] | None) -> str:
+def _as_arguments(record: Mapping[str, Any] | None) -> str:
     """A record as arguments of `gsjax.train`."""
     if record is None:
         return "no terms=, effects= or densification="

@@ -112,14 +112,16 @@ class Loaded:
     split: Split
 
 
-def load(asked: Asked) -> Loaded:
+def load(request: Asked) -> Loaded:
     """Read the data set, and try the run's own terms on the sizes of its photos."""
-    downscale = asked.resumed and asked.resumed.plan["downscale"]
-    scene, downscale, line = at_size(asked.scene, asked.settings.photos, asked.plan.steps, downscale, run=asked.origin)
-    split = (asked.origin and asked.origin.split) or split_of(scene.frames)
-    if asked.origin and asked.has_checkpoint:
-        require_photos_of_effects(scene, split, asked.origin.manifest, run=asked.origin.folder)
-    check_terms(asked.plan, scene.train_frames)
+    downscale = request.resumed and request.resumed.plan["downscale"]
+    scene, downscale, line = at_size(
+        request.scene, request.settings.photos, request.plan.steps, downscale, run=request.origin
+    )
+    split = (request.origin and request.origin.split) or split_of(scene.frames)
+    if request.origin and request.has_checkpoint:
+        require_photos_of_effects(scene, split, request.origin.manifest, run=request.origin.folder)
+    check_terms(request.plan, scene.train_frames)
     return Loaded(scene, downscale, line, split)
 
 
@@ -139,22 +141,22 @@ class Prepared:
     notes: dict[str, Any]  # entries of the manifest
 
 
-def prepare(asked: Asked, loaded: Loaded) -> Prepared:
+def prepare(request: Asked, loaded: Loaded) -> Prepared:
     """Read photos and priors, as far as memory allows, and choose the effects."""
-    settings, maps = asked.settings, asked.settings.supervision
-    memory, sparse = _size(asked, loaded.scene)
+    settings, maps = request.settings, request.settings.supervision
+    memory, sparse = _size(request, loaded.scene)
     scene = read_photos(loaded.scene, memory.keep)
     report(*_opening_lines(memory.plan, settings, loaded.line), sparse and sparse.line(memory.plan))
     inspected = look_for_effects(settings.effects.names, scene)
     scene = inspected.scene
     extent = training_extent(scene)
     measured, start = measured_depth(scene, maps), with_given_points(scene, settings.model.points)
-    stereo = stereo_supervision(scene, settings, asked.out if asked.resumed else None)
+    stereo = stereo_supervision(scene, settings, request.out if request.resumed else None)
     depths = measured.depths if measured else stereo.depths(scene.train_frames)
     planned = memory.plan if depths else memory.plan.without("measured")
     report(measured and f"depth {measured.line}", stereo.line if stereo.maps else _own_normals_line(planned))
     normals = NormalSource(
-        asked.out,
+        request.out,
         planned.normals,
         maps.normal_axes,
         scene.train_frames,
@@ -162,40 +164,40 @@ def prepare(asked: Asked, loaded: Loaded) -> Prepared:
         maps.normal_gate,
         stereo=stereo.normals,
         keep=memory.keep,
-        notify=partial(note_normals, asked.out),
+        notify=partial(note_normals, request.out),
     )
-    if not asked.has_checkpoint:
+    if not request.has_checkpoint:
         start, lines = with_stereo_points(start, planned, stereo.swept)
         report(*lines)
-    effects = _choose_effects(asked, planned, inspected, start, extent, loaded.downscale).with_own(asked.effects)
+    effects = _choose_effects(request, planned, inspected, start, extent, loaded.downscale).with_own(request.effects)
     notes = {
         "photos": loaded.line,
         "memory": "; ".join(memory.lines),
         ENTRY: sparse and asdict(sparse),
         "stereo": stereo.line if stereo.maps else None,
         "effects": effects.evidence,
-        **asked.pieces,
+        **request.pieces,
     }
     notes = {name: note for name, note in notes.items() if note}
     return Prepared(scene, start, extent, planned, memory.keep, normals, depths, stereo.maps, effects, notes)
 
 
-def _size(asked: Asked, scene: Scene) -> tuple[Fitted, Decision | None]:
+def _size(request: Asked, scene: Scene) -> tuple[Fitted, Decision | None]:
     """The plan for so many photos, so far apart, in this machine's memory."""
 
     def trial(change: Callable[[Plan], Plan]) -> Gain:
-        return same_everywhere(sparse_view_trial.gain(scene, asked.settings, change))
+        return same_everywhere(sparse_view_trial.gain(scene, request.settings, change))
 
     planned, sparse = for_sparse_views(
-        asked.plan,
+        request.plan,
         scene,
-        asked.settings.schedule,
-        trial=None if asked.origin else trial,
-        before=asked.decided(ENTRY),
-        may_lower=asked.resumed is None,
+        request.settings.schedule,
+        trial=None if request.origin else trial,
+        before=request.decided(ENTRY),
+        may_lower=request.resumed is None,
     )
-    may_lower = asked.mesh is None and asked.resumed is None
-    memory = fit_to_memory(planned, scene.frames, asked.out, may_lower=may_lower)
+    may_lower = request.mesh is None and request.resumed is None
+    memory = fit_to_memory(planned, scene.frames, request.out, may_lower=may_lower)
     report(*memory.lines)
     return memory, sparse
 
@@ -228,10 +230,10 @@ def _opening_lines(planned: Plan, settings: Settings, photos_line: str) -> list[
 
 
 def _choose_effects(
-    asked: Asked, planned: Plan, inspected: Looked, start: Scene, extent: float, downscale: float
+    request: Asked, planned: Plan, inspected: Looked, start: Scene, extent: float, downscale: float
 ) -> ChosenEffects:
     """The effects that the settings name, or that photos show and validation runs confirm."""
-    settings, scene = asked.settings, inspected.scene
+    settings, scene = request.settings, inspected.scene
     sized = settings.replace(model={"max_gaussians": planned.max_gaussians})
 
     def initial(short: Settings, optimizer: Any, effects: Effects, skies: Masks) -> TrainState:
@@ -246,7 +248,7 @@ def _choose_effects(
         inspected,
         skies=read_sky_masks(scene, settings.effects.sky, settings.photos.images, downscale),
         with_sky=settings.effects.sky == AUTO,
-        before=asked.decided("effects"),
+        before=request.decided("effects"),
     )
 
 

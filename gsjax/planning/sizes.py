@@ -47,10 +47,10 @@ def at_size(
     def taken_photos(scene: Scene) -> Scene:
         return with_split(scene, split, run=run.folder) if run and split else scene
 
-    taken = taken_photos(opened())
-    factor = chosen_downscale(photos, taken.frames) if downscale is None else downscale
-    loaded = taken if factor == 1 else taken_photos(opened(downscale=factor))
-    return loaded, factor, size_line(steps, taken.frames, loaded.frames)
+    full_size = taken_photos(opened())
+    factor = chosen_downscale(photos, full_size.frames) if downscale is None else downscale
+    loaded = full_size if factor == 1 else taken_photos(opened(downscale=factor))
+    return loaded, factor, size_line(steps, full_size.frames, loaded.frames)
 
 
 def training_extent(scene: Scene) -> float:
@@ -95,9 +95,9 @@ def chosen_downscale(photos: Photos, frames: Sequence[Frame], *, on_cpu: bool | 
     return round(factor, 4)
 
 
-def size_line(steps: int, taken: Sequence[Frame], used: Sequence[Frame]) -> str:
+def size_line(steps: int, originals: Sequence[Frame], used: Sequence[Frame]) -> str:
     """One line for the user: how many photos, at what size and why, and how many steps."""
-    largest, reduced = (max(frames, key=lambda f: f.width * f.height) for frames in (taken, used))
+    largest, reduced = (max(frames, key=lambda f: f.width * f.height) for frames in (originals, used))
     line = f"{len(used)} photos at {reduced.width}x{reduced.height}"
     if (largest.width, largest.height) != (reduced.width, reduced.height):
         line += f" (taken at {largest.width}x{largest.height}; --downscale 1 keeps that)"

@@ -33,10 +33,10 @@ def read_sky_masks(scene: Scene, folder: str | None, images: str | None, downsca
         place=scene.place,
         masks=source,
     )
-    shown = {frame.name: valid_pixels(frame) for frame in masked.frames if frame.masked}
+    without_sky = {frame.name: valid_pixels(frame) for frame in masked.frames if frame.masked}
     masks = {}
     for frame in scene.frames:
-        usable, sky = valid_pixels(frame), shown.get(frame.name)
+        usable, sky = valid_pixels(frame), without_sky.get(frame.name)
         is_sky = None if sky is None else ~sky if usable is None else ~sky & usable
         if is_sky is not None and is_sky.any():
             masks[frame.name] = is_sky

@@ -166,17 +166,17 @@ def angle_between_photos(scene: Scene) -> float | None:
         InputError: The tracks cannot be read, or name points that the scene does not have.
     """
     by_name = tracks_by_name(scene)
-    seen = [(frame, by_name[frame.name][0]) for frame in scene.train_frames if frame.name in by_name]
-    if not seen:
+    views = [(frame, by_name[frame.name][0]) for frame in scene.train_frames if frame.name in by_name]
+    if not views:
         return None
-    photo = np.repeat(np.arange(len(seen)), [len(ids) for _, ids in seen])
-    point = np.concatenate([ids for _, ids in seen])
+    photo = np.repeat(np.arange(len(views)), [len(ids) for _, ids in views])
+    point = np.concatenate([ids for _, ids in views])
     matched = np.flatnonzero(np.bincount(point) > 1)
-    chosen = matched[:: max(len(matched) // POINTS, 1)]
-    kept = np.isin(point, chosen)
-    photo, point = photo[kept], point[kept]
-    centers = np.stack([viewmat_center(frame.viewmat) for frame, _ in seen]).astype(np.float64)
-    angles = [_to_the_nearest(centers[photo[point == each]] - scene.points[each]) for each in chosen]
+    sample = matched[:: max(len(matched) // POINTS, 1)]
+    in_sample = np.isin(point, sample)
+    photo, point = photo[in_sample], point[in_sample]
+    centers = np.stack([viewmat_center(frame.viewmat) for frame, _ in views]).astype(np.float64)
+    angles = [_to_the_nearest(centers[photo[point == each]] - scene.points[each]) for each in sample]
     return float(np.median(angles)) if angles else None
 
 

@@ -57,9 +57,9 @@ def starting_points(scene: Scene, model: Model) -> tuple[np.ndarray, np.ndarray]
     far = initialize.far_points(scene.points, frames, count)
     # Of a cloud larger than the budget some stay out: the far ones must not be among them.
     room = min(model.max_gaussians - len(far), len(scene.points))
-    kept = np.linspace(0, len(scene.points) - 1, room).astype(int)
+    indices = np.linspace(0, len(scene.points) - 1, room).astype(int)
     grey = np.full((len(far), 3), 128, np.uint8)
-    return np.concatenate([scene.points[kept], far]), np.concatenate([scene.point_colors[kept], grey])
+    return np.concatenate([scene.points[indices], far]), np.concatenate([scene.point_colors[indices], grey])
 
 
 def first_state(

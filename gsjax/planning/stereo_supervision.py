@@ -55,11 +55,15 @@ def stereo_supervision(scene: Scene, settings: Settings, run: Path | None) -> St
     Raises:
         InputError: The tracks or the maps of the run cannot be read.
     """
-    given = settings.supervision
-    is_used = given.stereo_weight and not settings.schedule.vanilla and (given.normals is None or given.depth is None)
+    supervision = settings.supervision
+    is_used = (
+        supervision.stereo_weight
+        and not settings.schedule.vanilla
+        and (supervision.normals is None or supervision.depth is None)
+    )
     if not is_used:
         return NO_STEREO
     swept = None if run is not None else depths_of_photos(scene, MOST_PHOTOS)
     maps = stereo_maps(swept) if swept is not None else read_stereo_maps(run) or {}
-    what = "depth and normals" if given.normals is None else "depth"
+    what = "depth and normals" if supervision.normals is None else "depth"
     return StereoSupervision(maps, swept, swept and f"multi-view stereo supervises {what}: {swept.line}")

@@ -113,10 +113,10 @@ class Variant:
 
 def _kept_steps(effects: Effects) -> Callable[..., TrainStep]:
     """`make_train_step` with these effects, the same step for the same arguments."""
-    kept = cache(partial(make_train_step, effects=effects))
+    make_cached = cache(partial(make_train_step, effects=effects))
 
     def make(*args: Any, effects: Effects, **options: Any) -> TrainStep:
-        return kept(*args, **options)
+        return make_cached(*args, **options)
 
     return make
 
@@ -161,9 +161,9 @@ def compared(
         valid: `[H, W]` bool, which pixels may be used.
         held_out: `[H, W]` bool, which of them are scored.
     """
-    shown = [usable & ~out for usable, out in zip(valid, held_out, strict=True)]
+    fit_pixels = [usable & ~out for usable, out in zip(valid, held_out, strict=True)]
     scored = [usable & out for usable, out in zip(valid, held_out, strict=True)]
-    both = [_errors(_fitted(pictures, photos, shown), photos) for pictures in (without, with_change)]
+    both = [_errors(_fitted(pictures, photos, fit_pixels), photos) for pictures in (without, with_change)]
     least = [np.minimum(*pair) for pair in zip(*both, strict=True)]
     pooled = np.concatenate([error[pixels] for error, pixels in zip(least, scored, strict=True)])
     most = transients.REACH**2 * np.quantile(pooled, transients.QUANTILE) if len(pooled) else 0.0
@@ -176,9 +176,9 @@ def compared(
 
 
 def _fitted(
-    pictures: Sequence[np.ndarray], photos: Sequence[np.ndarray], shown: Sequence[np.ndarray]
+    pictures: Sequence[np.ndarray], photos: Sequence[np.ndarray], fit_pixels: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    triples = list(zip(pictures, photos, shown, strict=True))
+    triples = list(zip(pictures, photos, fit_pixels, strict=True))
     products = np.sum([(picture[there] * photo[there]).sum(0) for picture, photo, there in triples], axis=0)
     squares = np.sum([np.square(picture[there]).sum(0) for picture, _, there in triples], axis=0)
     factor = np.where(squares > 0, products / np.where(squares > 0, squares, 1), 1)

@@ -27,5 +27,5 @@ def take_normals(warm_start: Path, run: Path, planned: Plan, step: int) -> None:
     source, target = warm_start / "normals", run / "normals"
     read_before = any("normals" in phase.needs and phase.begin < step for phase in planned.phases)
     if read_before and source.is_dir() and not target.exists():
-        with atomic_folder(target) as made:
-            shutil.copytree(source, made, dirs_exist_ok=True)
+        with atomic_folder(target) as folder:
+            shutil.copytree(source, folder, dirs_exist_ok=True)

@@ -48,8 +48,10 @@ def pictures(
     capacity = _capacity(rendering.largest_need(gaussians, padded))
     for camera, own in zip(padded, cameras, strict=True):
         color = jnp.asarray(background, jnp.float32)
-        shown = _shown(gaussians, camera, color, capacity=capacity, depth_mode=depth_mode, with_owners=with_owners)
-        yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in shown))
+        maps = _picture_maps(
+            gaussians, camera, color, capacity=capacity, depth_mode=depth_mode, with_owners=with_owners
+        )
+        yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in maps))
 
 
 def mask_pictures(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> Iterator[Picture]:
@@ -74,8 +76,8 @@ _compiled: set[int] = set()  # Pair buffers that this process has drawn with.
 
 def _capacity(needed: int) -> int:
     """The length of a pair buffer that holds so many: the shortest that a program is compiled for, or a new one."""
-    wanted = (max(needed, min(needed * times, LONG)) for times in ROOM.get(resolve("auto"), (1, 1)))
-    new, longest = map(rasterizer.capacity_bucket, wanted)
+    lengths = (max(needed, min(needed * times, LONG)) for times in ROOM.get(resolve("auto"), (1, 1)))
+    new, longest = map(rasterizer.capacity_bucket, lengths)
     # A copy: other threads may draw, too.
     capacity = min((each for each in tuple(_compiled) if needed <= each <= longest), default=new)
     _compiled.add(capacity)
@@ -83,7 +85,7 @@ def _capacity(needed: int) -> int:
 
 
 @partial(jax.jit, static_argnames=("capacity", "depth_mode", "with_owners"))
-def _shown(
+def _picture_maps(
     gaussians: Gaussians,
     camera: Camera,
     background: jax.Array,
@@ -97,5 +99,5 @@ def _shown(
         gaussians, camera, capacity=capacity, background=under, with_depth=True, depth_mode=depth_mode
     )
     assert view.depth is not None  # as asked for
-    shown = jnp.clip(view.colors, 0, 1), view.depth, view.alphas
-    return (*shown, rendering.owners(view.splats)) if with_owners else shown
+    maps = jnp.clip(view.colors, 0, 1), view.depth, view.alphas
+    return (*maps, rendering.owners(view.splats)) if with_owners else maps

@@ -113,13 +113,13 @@ def are_floaters(gaussians: Gaussians, views: Iterable[CoarseDepth]) -> np.ndarr
         if not view.depth.any():
             continue
         forward = np.asarray(view.camera.viewmat, np.float64)[2, :3]
-        depths, shown = depths_at(means, view)
+        depths, surface_depths = depths_at(means, view)
         thickness = np.sqrt(np.maximum(shapes @ forward @ forward, 0))
-        margin = SAME_SURFACE * shown + DEVIATIONS * thickness
-        supports = (shown > 0) & (np.abs(depths - shown) <= margin)
+        margin = SAME_SURFACE * surface_depths + DEVIATIONS * thickness
+        supports = (surface_depths > 0) & (np.abs(depths - surface_depths) <= margin)
         supporting += supports
-        through += (shown > 0) & (depths < shown - margin)
+        through += (surface_depths > 0) & (depths < surface_depths - margin)
         hangs_near |= supports & (depths < NEAR * np.median(view.depth[view.depth > 0]))
-    found = np.zeros(len(usable), bool)
-    found[usable] = (supporting < SUPPORTING) & ((through >= LOOKING_THROUGH) | hangs_near)
-    return found
+    is_floater = np.zeros(len(usable), bool)
+    is_floater[usable] = (supporting < SUPPORTING) & ((through >= LOOKING_THROUGH) | hangs_near)
+    return is_floater

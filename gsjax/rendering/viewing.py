@@ -81,9 +81,9 @@ def render(
     reading = depth_mode if with_depth else None
     splats = splat(scene, camera, capacity, means2d_probe, splat_depth_mode(reading), backend)
     axes = facing_axes(scene, camera, splats.projection) if with_axes else None
-    shown = colors(scene, camera, active_degree)
-    under = jnp.zeros(3, shown.dtype) if background is None else background
-    return view_splats(splats, shown, under, reading=reading, extra=extra, axes=axes)
+    splat_colors = colors(scene, camera, active_degree)
+    under = jnp.zeros(3, splat_colors.dtype) if background is None else background
+    return view_splats(splats, splat_colors, under, reading=reading, extra=extra, axes=axes)
 
 
 def view_splats(
@@ -119,9 +119,11 @@ def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = 
     `active_degree`, one for all or `[N]`, may be traced: bands above it are multiplied by zero, so a ramp never
     recompiles.
     """
-    directions, shown = scene.means - cameras.center(camera)[None], None
+    directions, active_bands = scene.means - cameras.center(camera)[None], None
     if active_degree is not None:
         band = jnp.floor(jnp.sqrt(jnp.arange(1, 1 + scene.sh_rest.shape[1], dtype=jnp.float32)))
-        shown = (band[None] <= jnp.asarray(active_degree, jnp.float32).reshape(-1, 1)).astype(directions.dtype)
-    bands = rasterizer.spherical_harmonics_l0(scene.sh_dc) + rasterizer.upper_bands(directions, scene.sh_rest, shown)
+        active_bands = (band[None] <= jnp.asarray(active_degree, jnp.float32).reshape(-1, 1)).astype(directions.dtype)
+    bands = rasterizer.spherical_harmonics_l0(scene.sh_dc) + rasterizer.upper_bands(
+        directions, scene.sh_rest, active_bands
+    )
     return jnp.maximum(bands + 0.5, 0)

@@ -120,16 +120,16 @@ def plan(run: RunFacts) -> Rows:
 
 def effects(run: RunFacts) -> Rows:
     """Effect, decision, evidence, noise, threshold, and what the note says; empty where no diagnosis was made."""
-    found = run.manifest.get("effects", {})
+    record = run.manifest.get("effects", {})
     return [
         (
             name,
-            "simulated" if name in found["simulated"] else "called for" if each["on"] else "no",
+            "simulated" if name in record["simulated"] else "called for" if each["on"] else "no",
             *(f"{tables.format_value(each[key])} {each['unit'] if each[key] is not None else ''}".strip()
               for key in ("evidence", "noise", "threshold")),
             each["note"],
         )
-        for name, each in found.get("evidence", {}).items()
+        for name, each in record.get("evidence", {}).items()
     ]  # fmt: skip
 
 
@@ -177,7 +177,7 @@ def charts(
         axis: What x is.
         titles: Title of a chart -> name of a line, and what the metrics call it. The last line is the one that counts.
     """
-    alone, drawn = len(pools) == 1, []
+    alone, figures = len(pools) == 1, []
     for title, lines in titles.items():
         curves = [
             Curve(name if alone else label, *pool_curves(pool, key, AXES[axis]), color, name != [*lines][-1])
@@ -185,20 +185,20 @@ def charts(
             for name, key in lines.items()
         ]
         marks = phase_ends(next(iter(pools.values()))[0], AXES[axis]) if alone else []
-        drawn.append(chart(title, axis, curves, marks))
-    return [each for each in drawn if each]
+        figures.append(chart(title, axis, curves, marks))
+    return [each for each in figures if each]
 
 
 def pool_curves(
     pool: Sequence[RunFacts], key: str, axis: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     """The x and the mean y at the steps that all runs logged `key` at; of several runs also least and most."""
-    told = [
+    logs = [
         {record["step"]: (record[axis], record[key]) for record in run.history if _is_told(record, key, axis)}
         for run in pool
     ]
-    steps = sorted(set.intersection(*map(set, told)))
-    values = np.array([[one[step] for step in steps] for one in told], float).reshape(len(told), len(steps), 2)
+    steps = sorted(set.intersection(*map(set, logs)))
+    values = np.array([[one[step] for step in steps] for one in logs], float).reshape(len(logs), len(steps), 2)
     x, y = values.mean(0).T
     return (x, y, values[..., 1].min(0), values[..., 1].max(0)) if len(pool) > 1 else (x, y, None, None)
 
@@ -245,8 +245,8 @@ def _normals(run: RunFacts) -> tuple[str, str]:
         why = "no maps were given: --normals names them"
         return "of the Gaussians' own depth, smoothed", run.manifest.get("normals", why)
     axes = run.settings["supervision"].get("normal_axes")
-    asked = f"axes asked for: {axes}" if axes else "axes as the maps' maker wrote them, or found by comparing"
-    return run.plan["normals"], run.manifest.get("normals", asked)
+    note = f"axes asked for: {axes}" if axes else "axes as the maps' maker wrote them, or found by comparing"
+    return run.plan["normals"], run.manifest.get("normals", note)
 
 
 def _effects(run: RunFacts) -> tuple[str, str]:
@@ -254,6 +254,6 @@ def _effects(run: RunFacts) -> tuple[str, str]:
         return run.settings["effects"]["names"], "taken off the photos as training found them"
     if "effects" not in run.manifest:
         return "none", "nobody looked: --effects auto does"
-    chosen = ", ".join(run.manifest["effects"]["simulated"]) or "none"
-    asked = run.settings["effects"]["names"]
-    return chosen, "what the photos show, see below" if asked == "auto" else f"asked for: --effects {asked}"
+    names = ", ".join(run.manifest["effects"]["simulated"]) or "none"
+    request = run.settings["effects"]["names"]
+    return names, "what the photos show, see below" if request == "auto" else f"asked for: --effects {request}"

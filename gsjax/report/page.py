@@ -45,15 +45,15 @@ def report(folder: str | Path) -> Path:
         chapter = _chapter(folder)
         return write_page(folder / FILE, "report.html", name=folder.resolve().name, stages=chapter["stages"],
             overview=None, chapters=[chapter])  # fmt: skip
-    told = json_files.read(folder / "report.json", {"stages?": {str: {}}})
-    if "stages" not in told:
+    record = json_files.read(folder / "report.json", {"stages?": {str: {}}})
+    if "stages" not in record:
         raise InputError(f"{folder}: is the folder of neither a run nor a scan")
     chapters = [_chapter(folder / part) for part in ("run", "refined") if (folder / part / "manifest.json").exists()]
     return write_page(
         folder / FILE,
         "report.html",
         name=folder.resolve().name,
-        stages=run_facts.stage_rows(told["stages"]),
+        stages=run_facts.stage_rows(record["stages"]),
         overview=_overview(folder / "overview.png"),
         chapters=chapters,
     )
@@ -153,11 +153,11 @@ def _views(run: RunFacts) -> list[dict[str, Any]]:
     if records[0]["held_out"] and not (run.folder / view_pictures.FOLDER).exists():
         _render(run, {record["name"] for record in records})
     meshes = view_pictures.mesh_pictures(run.folder, records)
-    found = [
+    views = [
         {"name": record["name"], "pictures": {**view_pictures.stored_pictures(run.folder, place), **mesh}}
         for place, record, mesh in zip(places, records, meshes, strict=True)
     ]
-    return [each for each in found if each["pictures"]]
+    return [each for each in views if each["pictures"]]
 
 
 def _render(run: RunFacts, names: set[str]) -> None:
@@ -165,8 +165,8 @@ def _render(run: RunFacts, names: set[str]) -> None:
     result, scene = open_result(run.folder), scene_of_run(run.folder)
     frames = tuple(frame for frame in scene.held_out_frames if frame.name in names)
     background, keep = run.settings["model"]["background"], view_pictures.picture_keeper(run.folder)
-    found = PhotoEffects(background=read_photo_effects(run.folder).background)
-    score_images(result.gaussians, frames, background, found=found, depth_mode=result.depth_mode, observe=keep)
+    effects = PhotoEffects(background=read_photo_effects(run.folder).background)
+    score_images(result.gaussians, frames, background, found=effects, depth_mode=result.depth_mode, observe=keep)
 
 
 def _overview(file: Path) -> bytes | None:

@@ -24,15 +24,15 @@ def depth_picture(depth: np.ndarray, span: tuple[float, float] | None = None) ->
 
 def depth_span(depths: np.ndarray) -> tuple[float, float]:
     """The depths that all but the nearest and the farthest hundredth lie between; 0 and 1 where there are none."""
-    seen = depths[depths > 0]
-    near, far = np.quantile(seen, [0.01, 0.99]) if len(seen) else (0.0, 1.0)
+    valid_depths = depths[depths > 0]
+    near, far = np.quantile(valid_depths, [0.01, 0.99]) if len(valid_depths) else (0.0, 1.0)
     return float(near), float(far)
 
 
 def normal_picture(normals: np.ndarray) -> np.ndarray:
     """`[H, W, 3]` uint8: x to the right red, y up green, towards the camera blue; white where there is none."""
-    known = np.any(normals != 0, axis=-1, keepdims=True)
-    return to_bytes(np.where(known, 0.5 + 0.5 * normals * np.array([1, -1, -1]), 1))
+    is_known = np.any(normals != 0, axis=-1, keepdims=True)
+    return to_bytes(np.where(is_known, 0.5 + 0.5 * normals * np.array([1, -1, -1]), 1))
 
 
 def surface_picture(depth: np.ndarray, camera: Camera) -> np.ndarray:

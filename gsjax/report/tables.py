@@ -23,11 +23,11 @@ def compare(variants: Mapping[str, Mapping[str, Any]]) -> str:
 
 def spread(rows: Sequence[Mapping[str, float]]) -> dict[str, str]:
     """Mean of every quantity over rows that all have it, a row a seed; where they are several also least and most."""
-    found = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
-    told = {
-        name: [format_value(float(v)) for v in (each.mean(), each.min(), each.max())] for name, each in found.items()
+    columns = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
+    texts = {
+        name: [format_value(float(v)) for v in (each.mean(), each.min(), each.max())] for name, each in columns.items()
     }
-    return {name: f"{mean} [{least} {most}]" if len(rows) > 1 else mean for name, (mean, least, most) in told.items()}
+    return {name: f"{mean} [{least} {most}]" if len(rows) > 1 else mean for name, (mean, least, most) in texts.items()}
 
 
 def align_columns(rows: list[list[str]], right: Collection[int] = ()) -> str:

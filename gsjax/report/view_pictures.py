@@ -50,8 +50,8 @@ def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
         if frame.name not in places:
             return
         normals = np.asarray(depth_normals(jnp.asarray(picture.depth), frame_camera(frame)))
-        shown = to_bytes(target), to_bytes(picture.colors), normal_picture(normals)
-        for kind, image in zip(KINDS, shown, strict=True):
+        images = to_bytes(target), to_bytes(picture.colors), normal_picture(normals)
+        for kind, image in zip(KINDS, images, strict=True):
             with atomic_path(_file(run, places[frame.name], kind)) as temporary:
                 temporary.write_bytes(jpeg_bytes(resize(image, *_reduced(frame.width, frame.height))))
 

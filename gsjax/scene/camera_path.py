@@ -63,9 +63,9 @@ def through(cameras: Sequence[Camera], most: int, aspect: float) -> Keyframes:
         most: Keyframes.
         aspect: Width by height of the pictures; each shows all that its camera shows.
     """
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, min(most, len(cameras))).round().astype(int))
-    viewmats = np.stack([np.asarray(cameras[place].viewmat, np.float64) for place in chosen])
-    fovs = np.array([covering_fov(cameras[place], aspect) for place in chosen])
+    indices = np.unique(np.linspace(0, len(cameras) - 1, min(most, len(cameras))).round().astype(int))
+    viewmats = np.stack([np.asarray(cameras[place].viewmat, np.float64) for place in indices])
+    fovs = np.array([covering_fov(cameras[place], aspect) for place in indices])
     order = _shorter_order(np.stack([viewmat_center(viewmat) for viewmat in viewmats]))
     return Keyframes(viewmats[order], fovs[order], closed=False)
 

@@ -28,8 +28,8 @@ def shares(colors: np.ndarray) -> np.ndarray:
 
 def to_bytes(shares: np.ndarray | Array) -> np.ndarray:
     """uint8 values of shares of 1, cut to 0..1, and grey of those that are no number; any shape."""
-    given = np.asarray(shares)
-    return np.rint(255 * np.where(np.isnan(given), 0.5, np.clip(given, 0, 1))).astype(np.uint8)
+    values = np.asarray(shares)
+    return np.rint(255 * np.where(np.isnan(values), 0.5, np.clip(values, 0, 1))).astype(np.uint8)
 
 
 def _where(condition: Any, yes: Any, no: Any) -> Any:

@@ -84,12 +84,12 @@ class Place:
 
     def statement(self) -> dict[str, Any]:
         """What a file in the world's coordinates says of them; plain numbers."""
-        told: dict[str, Any] = {"unit": METRE if self.is_known else UNKNOWN, "up": self.up, "known_by": self.known_by}
+        fields: dict[str, Any] = {"unit": METRE if self.is_known else UNKNOWN, "up": self.up, "known_by": self.known_by}
         if self.origin is not None:
             latitude, longitude, altitude = self.origin
             place = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
-            told |= {"axes": ENU, "origin": place, "datum": "WGS 84"}
-        return told
+            fields |= {"axes": ENU, "origin": place, "datum": "WGS 84"}
+        return fields
 
     def record(self) -> dict[str, Any]:
         """The statement, and the way from the data set's files to the world where that is one."""
@@ -109,24 +109,24 @@ def parse_length(text: str) -> float:
     Raises:
         ValueError: It is none, or nothing.
     """
-    found = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*([a-z]+)", text.strip())
-    number = float(found[1]) * LENGTHS.get(found[2], 0.0) if found else 0.0
+    match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*([a-z]+)", text.strip())
+    number = float(match[1]) * LENGTHS.get(match[2], 0.0) if match else 0.0
     if not 0 < number < math.inf:
         raise ValueError(f"{text}: not a length, such as 1.25m, 80cm or 3ft")
     return number
 
 
-def parse_place(kept: Any, where: object) -> Place:
+def parse_place(record: Any, where: object) -> Place:
     """The place that a `record`, or a `statement`, holds.
 
     Raises:
         InputError: It states none; names `where` it was read.
     """
     try:
-        origin, move = kept.get("origin"), kept.get("from_files", {})
+        origin, move = record.get("origin"), record.get("from_files", {})
         place = Place(
-            known_by=str(kept["known_by"]),
-            up=None if kept["up"] is None else _vector(kept["up"]),
+            known_by=str(record["known_by"]),
+            up=None if record["up"] is None else _vector(record["up"]),
             origin=None if origin is None else _origin(origin),
             scale=float(move.get("scale", 1.0)),
             rotation=tuple(map(_vector, move.get("rotation", Place.rotation))),
@@ -135,13 +135,13 @@ def parse_place(kept: Any, where: object) -> Place:
         turn = np.array(place.rotation)
         is_turn = turn.shape == (3, 3) and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 and np.linalg.det(turn) > 0
         if (
-            kept["unit"] != (METRE if place.is_known else UNKNOWN)
+            record["unit"] != (METRE if place.is_known else UNKNOWN)
             or not is_turn
             or not 1 / LARGEST < place.scale < LARGEST
         ):
             raise ValueError
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"{where}: tells no place of a scene ({str(kept)[:80]})") from error
+        raise InputError(f"{where}: tells no place of a scene ({str(record)[:80]})") from error
     return place
 
 
@@ -152,9 +152,9 @@ def _vector(numbers: Any) -> Vector:
     return x, y, z
 
 
-def _origin(kept: Mapping[str, Any]) -> tuple[float, float, float | None]:
-    latitude, longitude = float(kept["latitude"]), float(kept["longitude"])
-    altitude = None if kept.get("altitude") is None else float(kept["altitude"])
+def _origin(record: Mapping[str, Any]) -> tuple[float, float, float | None]:
+    latitude, longitude = float(record["latitude"]), float(record["longitude"])
+    altitude = None if record.get("altitude") is None else float(record["altitude"])
     if not (abs(latitude) <= 90 and abs(longitude) <= 360 and math.isfinite(altitude or 0.0)):
         raise ValueError
     return latitude, longitude, altitude

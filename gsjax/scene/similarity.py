@@ -181,17 +181,17 @@ def spread(points: np.ndarray, middle: np.ndarray | None = None) -> float:
     return float(np.median(np.linalg.norm(points - middle, axis=1)))
 
 
-def parse_similarity(kept: Any, file: Path) -> Similarity:
+def parse_similarity(record: Any, file: Path) -> Similarity:
     """The similarity that a JSON file holds, as `dataclasses.asdict` has it.
 
     Raises:
         InputError: What it holds is none; names the file.
     """
     try:
-        x, y, z = (float(number) for number in kept["center"])
-        similarity = Similarity(float(kept["scale"]), (x, y, z))
+        x, y, z = (float(number) for number in record["center"])
+        similarity = Similarity(float(record["scale"]), (x, y, z))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{file}: holds no similarity of a scale and a center ({str(kept)[:80]})") from error
+        raise InputError(f"{file}: holds no similarity of a scale and a center ({str(record)[:80]})") from error
     if not (all(map(math.isfinite, (x, y, z))) and similarity.is_possible):
         raise InputError(f"{file}: a similarity of scale {similarity.scale:g} and center {x:g} {y:g} {z:g} is none")
     return similarity

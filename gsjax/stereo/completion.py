@@ -54,7 +54,8 @@ def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequ
     for _ in range(ROUNDS - 1):
         current = [each.depth for each in completed]
         filled = [
-            _filled(view, current[index], _shown(view, views, current, near[index])) for index, view in enumerate(views)
+            _filled(view, current[index], _depth_from_others(view, views, current, near[index]))
+            for index, view in enumerate(views)
         ]
         completed = _complete_once(views, segments, filled, stereo, near)
     return completed
@@ -66,7 +67,7 @@ def _filled(view: View, depth: Depth, z: np.ndarray) -> Depth:
     return Depth(np.where(fills, z, depth.z), depth.is_confident | fills)
 
 
-def _shown(view: View, views: Sequence[View], depths: Sequence[Depth], others: Sequence[int]) -> np.ndarray:
+def _depth_from_others(view: View, views: Sequence[View], depths: Sequence[Depth], others: Sequence[int]) -> np.ndarray:
     """`[H, W]` camera z of the nearest surface that other photos show in each pixel; infinite where none does."""
     nearest = np.full(view.gray.shape, np.inf)
     for other in others:

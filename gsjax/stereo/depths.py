@@ -55,8 +55,10 @@ class PhotoDepths(NamedTuple):
     def line(self) -> str:
         """How many photos are accepted, and how right they are, in words."""
         right = sum(each.evidence.right for each in self.accepted)
-        known = sum(each.evidence.checked for each in self.accepted)
-        share = f"; {right / known:.0%} of {known:,} matched points confirm their depth" if known else ""
+        num_checked = sum(each.evidence.checked for each in self.accepted)
+        share = (
+            f"; {right / num_checked:.0%} of {num_checked:,} matched points confirm their depth" if num_checked else ""
+        )
         return f"{len(self.accepted)} of {self.compared} photos{share}"
 
 

@@ -69,8 +69,8 @@ def read_stereo_maps(run: Path) -> dict[str, StereoMap] | None:
     return maps
 
 
-def _is_map(given: StereoMap) -> bool:
-    depth, normals = given
+def _is_map(stereo_map: StereoMap) -> bool:
+    depth, normals = stereo_map
     types = depth.dtype == np.float32 and normals.dtype == np.int8
     return types and depth.ndim == 2 and depth.size > 0 and normals.shape == (*depth.shape, 3) and _is_depth(depth)
 

@@ -89,15 +89,15 @@ def _explain(
     at = np.stack([pixels % width, pixels // width], axis=-1) + 0.5
     owner = np.repeat(np.arange(len(fits)), [len(on) for _, on in fits])
     lying = np.concatenate([places[on] for _, on in fits])
-    chosen = owner[KDTree(lying).query(at)[1]] if len(fits) > 1 else np.zeros(len(at), int)
+    nearest_fit = owner[KDTree(lying).query(at)[1]] if len(fits) > 1 else np.zeros(len(at), int)
     for index, (plane, on) in enumerate(fits):
-        own = chosen == index
+        own = nearest_fit == index
         offsets = at[own] - places[on].mean(axis=0)
         near = np.einsum("ni,ij,nj->n", offsets, np.linalg.inv(np.cov(places[on].T)), offsets) < REACH**2
         value = plane[0] + at[own] @ plane[1:]
-        written = near & (value > limits[0]) & (value < limits[1])
-        slopes = np.broadcast_to(plane[1:], (int(written.sum()), 2))
-        result.reshape(-1, 3)[pixels[own][written]] = np.concatenate([value[written, None], slopes], axis=-1)
+        is_valid = near & (value > limits[0]) & (value < limits[1])
+        slopes = np.broadcast_to(plane[1:], (int(is_valid.sum()), 2))
+        result.reshape(-1, 3)[pixels[own][is_valid]] = np.concatenate([value[is_valid, None], slopes], axis=-1)
 
 
 def _fits(places: np.ndarray, inverse: np.ndarray, rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -27,9 +27,9 @@ def stereo_points(swept: PhotoDepths, count: int) -> StereoPoints:
     """
     points = np.concatenate([each.view.lift(each.depth) for each in swept.accepted])
     colors = np.concatenate([each.view.color[each.depth.is_confident] for each in swept.accepted])
-    chosen = spread_evenly(points, count)
-    line = f"{len(chosen):,} more points where photos agree about depth ({swept.line})"
-    return StereoPoints(points[chosen].astype(np.float32), colors[chosen], line)
+    indices = spread_evenly(points, count)
+    line = f"{len(indices):,} more points where photos agree about depth ({swept.line})"
+    return StereoPoints(points[indices].astype(np.float32), colors[indices], line)
 
 
 def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:

@@ -36,11 +36,11 @@ def dissimilarities(view: View, others: Sequence[View]) -> np.ndarray:
     mean = _windowed(view.gray)
     variance = _windowed(view.gray * view.gray) - mean * mean
     dissimilarity = np.empty((PLANES, height, width), np.float32)
-    shown = [np.where(other.usable, other.gray, np.float32(-1)) for other in others]
+    grays = [np.where(other.usable, other.gray, np.float32(-1)) for other in others]
     inverse_map = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     for plane, inverse in enumerate(inverse_depths(view)):
         first, second = (np.full((height, width), 1 - UNLIKE, np.float32) for _ in range(2))
-        for other, gray in zip(others, shown, strict=True):
+        for other, gray in zip(others, grays, strict=True):
             warp = _homography(view, other, inverse)
             moved = cv2.warpPerspective(gray, warp, (width, height), flags=inverse_map, borderValue=-1.0)
             score = _correlation(view.gray, moved, mean, variance)

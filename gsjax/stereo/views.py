@@ -59,9 +59,9 @@ def stereo_views(scene: Scene, most: int = MOST_VIEWS) -> tuple[View, ...]:
         InputError: The tracks cannot be read, or name points that the scene does not have.
     """
     tracks = tracks_by_name(scene)
-    known = [frame for frame in scene.train_frames if frame.name in tracks]
-    chosen = known[:: -(-len(known) // most)] if known else ()
-    views = (_view(frame, scene.points, tracks[frame.name][0]) for frame in chosen)
+    with_tracks = [frame for frame in scene.train_frames if frame.name in tracks]
+    frames = with_tracks[:: -(-len(with_tracks) // most)] if with_tracks else ()
+    views = (_view(frame, scene.points, tracks[frame.name][0]) for frame in frames)
     return tuple(view for view in views if view is not None)
 
 
@@ -102,7 +102,7 @@ def neighbors(views: tuple[View, ...], points: np.ndarray) -> list[list[int]]:
     sees = np.stack([np.isin(sampled, view.matched) for view in views])
     rays = points[sampled].astype(np.float64) - viewmat_centers(np.stack([view.viewmat for view in views]))[:, None]
     rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-30)
-    chosen = []
+    best_others = []
     for index in range(len(views)):
         both = sees & sees[index]
         angles = np.degrees(np.arccos(np.clip(np.sum(rays * rays[index], axis=-1), -1, 1)))
@@ -110,5 +110,5 @@ def neighbors(views: tuple[View, ...], points: np.ndarray) -> list[list[int]]:
         total = np.where(both, worth, 0).sum(axis=1)
         total[index] = 0
         best = np.argsort(-total, kind="stable")[:NEIGHBORS]
-        chosen.append([int(other) for other in best if total[other] > 0])
-    return chosen
+        best_others.append([int(other) for other in best if total[other] > 0])
+    return best_others

@@ -32,9 +32,9 @@ def witnessed_normals(normals: np.ndarray, stereo: np.ndarray, color: np.ndarray
     small = cv2.resize(normals, size, interpolation=cv2.INTER_NEAREST)
     weight = _confirmed_share(small, stereo, photo_segments(cv2.resize(color, size, interpolation=cv2.INTER_AREA)))
     weight = cv2.resize(np.clip((weight - DOUBTFUL) / (SURE - DOUBTFUL), 0, 1), (width, height))
-    known = cv2.resize(stereo, (width, height), interpolation=cv2.INTER_NEAREST)
+    stereo_normals = cv2.resize(stereo, (width, height), interpolation=cv2.INTER_NEAREST)
     weighted = np.rint(normals * weight[..., None]).astype(np.int8)
-    return np.where(np.any(known, axis=-1, keepdims=True), known, weighted)
+    return np.where(np.any(stereo_normals, axis=-1, keepdims=True), stereo_normals, weighted)
 
 
 def _confirmed_share(normals: np.ndarray, stereo: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -44,9 +44,9 @@ def _confirmed_share(normals: np.ndarray, stereo: np.ndarray, labels: np.ndarray
     apart = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     confirmed = np.where(both, np.clip((OTHER - apart) / (OTHER - SAME), 0, 1), 0)
     count = np.bincount(labels.ravel())
-    known = np.bincount(labels[both], minlength=len(count))
-    is_known = (known >= FEWEST) & (known >= LEAST_SHARE * count)
-    of_segment = np.bincount(labels[both], confirmed[both], minlength=len(count)) / np.maximum(known, 1)
+    num_known = np.bincount(labels[both], minlength=len(count))
+    is_known = (num_known >= FEWEST) & (num_known >= LEAST_SHARE * count)
+    of_segment = np.bincount(labels[both], confirmed[both], minlength=len(count)) / np.maximum(num_known, 1)
     window = NEAR * max(labels.shape)
     around = ndimage.gaussian_filter(both.astype(np.float64), window)
     of_window = ndimage.gaussian_filter(confirmed, window) / np.maximum(around, 1e-3)

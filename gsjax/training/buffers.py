@@ -75,10 +75,10 @@ def shorten(state: TrainState, optimizer: Optimizer, most: int) -> TrainState:
     rows = _fitting(int(alive.sum()), most)
     if rows > WORTH * len(alive):
         return state
-    kept = np.argsort(~alive, kind="stable")[:rows]
+    indices = np.argsort(~alive, kind="stable")[:rows]
 
     def of_kept(array: Array) -> Array:
-        return array[kept]
+        return array[indices]
 
     return replace(
         state,
@@ -89,7 +89,7 @@ def shorten(state: TrainState, optimizer: Optimizer, most: int) -> TrainState:
 
 
 @partial(jax.jit, static_argnames=("rule", "density", "budget"))
-def _wanted(state: TrainState, *, rule: DensificationRule, density: Density, budget: int) -> Array:
+def _next_count(state: TrainState, *, rule: DensificationRule, density: Density, budget: int) -> Array:
     return rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
 
 
@@ -113,5 +113,5 @@ def with_room_to_densify(
     rows = state.gaussians.num_gaussians
     if rows >= most:
         return state
-    wanted = int(_wanted(state, rule=rule, density=density, budget=most))
-    return state if wanted <= rows else lengthen(state, optimizer, bucket(wanted, most))
+    count = int(_next_count(state, rule=rule, density=density, budget=most))
+    return state if count <= rows else lengthen(state, optimizer, bucket(count, most))

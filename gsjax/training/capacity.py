@@ -50,15 +50,15 @@ def rounded_capacity(needed: int, headroom: float) -> int:
     return -(-int(needed * headroom + 1) // 4096) * 4096
 
 
-def kept_or(chosen: int, headroom: float, before: int | None) -> int:
-    """The buffer of before, whose programs are compiled, where it is no longer than `chosen` and will not be too short.
+def kept_or(length: int, headroom: float, before: int | None) -> int:
+    """The buffer of before, whose programs are compiled, where it is no longer than `length` and will not be too short.
 
     Args:
-        chosen: `headroom` times what is needed.
-        headroom: Of `chosen`.
+        length: `headroom` times what is needed.
+        headroom: Of `length`.
         before: The length of a buffer; None: there is none.
     """
-    return before if before is not None and STILL * chosen / headroom <= before <= chosen else chosen
+    return before if before is not None and STILL * length / headroom <= before <= length else length
 
 
 def is_compiled_anew(before: Any, state: Any) -> bool:

@@ -80,11 +80,11 @@ def from_points(
         axes are the principal ones of the `AROUND` nearest points.
     """
     if len(points) > capacity:
-        chosen = np.linspace(0, len(points) - 1, capacity).astype(int)
-        points, colors = points[chosen], colors[chosen]
+        indices = np.linspace(0, len(points) - 1, capacity).astype(int)
+        points, colors = points[indices], colors[indices]
     colors = colors / 255.0 if colors.dtype == np.uint8 else colors
     count = len(points)
-    distances, near = (found.reshape(count, -1) for found in KDTree(points).query(points, k=min(AROUND, count)))
+    distances, near = (array.reshape(count, -1) for array in KDTree(points).query(points, k=min(AROUND, count)))
     others = distances[:, 1:4]
     spacing = np.sqrt(np.maximum((others**2).mean(1), 1e-7)) if count > 1 else np.full(count, 0.01)
 

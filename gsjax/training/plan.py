@@ -227,15 +227,15 @@ def plan(
     Raises:
         InputError: A weight has no term, or a term needs data that the run does not have.
     """
-    known, rule = {**TERMS, **as_terms(terms)}, densification or rule_named(settings.density.rule)
+    all_terms, rule = {**TERMS, **as_terms(terms)}, densification or rule_named(settings.density.rule)
     phases, begin = [], 0
     for phase in settings.schedule.phases:
-        wanted = _weighed(settings, phase, known)
-        if not settings.supervision.has_depth and "measured" in needs(wanted):
-            named = next(each.name for each in wanted if "measured" in needs([each]))
+        phase_terms = _weighed(settings, phase, all_terms)
+        if not settings.supervision.has_depth and "measured" in needs(phase_terms):
+            named = next(each.name for each in phase_terms if "measured" in needs([each]))
             raise InputError(f"schedule.phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
-        if "sky" in needs(wanted):
-            named = next(each.name for each in wanted if "sky" in needs([each]))
+        if "sky" in needs(phase_terms):
+            named = next(each.name for each in phase_terms if "sky" in needs([each]))
             raise InputError(
                 f"schedule.phases.{phase.name}.weights.{named}: effects.sky_weight weighs it where photos show sky"
             )
@@ -246,12 +246,12 @@ def plan(
             begin,
             end,
             phase.image_scale,
-            wanted,
+            phase_terms,
             rule if phase.density_control else None,
             cull,
             dropout=settings.schedule.dropout,
         )
-        if any(each.is_dear for each in wanted):
+        if any(each.is_dear for each in phase_terms):
             planned = replace(planned, surface_every=phase.surface_every, surface_scale=phase.surface_scale)
         phases.append(planned)
         begin = end
@@ -286,14 +286,14 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
         InputError: A term reads what it does not need, fails, or is not one float.
     """
     width, height = (max(getattr(frame, side) for frame in frames) for side in ("width", "height"))
-    tried = {
+    cases = {
         (each, width // scale, height // scale)
         for phase in planned.phases
         for terms, scale in ((phase.terms, phase.scale * phase.surface_scale), (phase.image_terms, phase.scale))
         for each in terms
         if each.term not in TERMS.values()
     }
-    for each, wide, high in sorted(tried, key=lambda one: (one[0].name, one[1:])):
+    for each, wide, high in sorted(cases, key=lambda one: (one[0].name, one[1:])):
         if wide and high:  # A phase that leaves nothing of the photos is refused where they are read.
             check_term(each, wide, high, planned.depth_mode)
 
@@ -303,10 +303,10 @@ def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tup
     supervision = settings.supervision
     everywhere = weights_of_data("measured", supervision.weight_of_depth) if supervision.has_depth else {}
     try:
-        wanted = weigh_terms({**everywhere, **phase.weights}, terms)
+        phase_terms = weigh_terms({**everywhere, **phase.weights}, terms)
     except InputError as error:
         raise InputError(f"schedule.phases.{phase.name}.{error}") from error
-    return tuple(each for each in wanted if each.name in PLAIN) if settings.schedule.vanilla else wanted
+    return tuple(each for each in phase_terms if each.name in PLAIN) if settings.schedule.vanilla else phase_terms
 
 
 def _fewer(steps: int, views: int) -> int:

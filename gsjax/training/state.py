@@ -119,12 +119,12 @@ def cull(state: TrainState, *, optimizer: Optimizer, min_opacity: float) -> Trai
 
 
 @partial(jax.jit, static_argnames="optimizer", donate_argnums=0)
-def remove(state: TrainState, chosen: Array, *, optimizer: Optimizer) -> TrainState:
-    """Remove the Gaussians that are chosen, `[N]` bool: their rows are free. The moments of the others stay.
+def remove(state: TrainState, mask: Array, *, optimizer: Optimizer) -> TrainState:
+    """Remove the Gaussians of `mask`, `[N]` bool: their rows are free. The moments of the others stay.
 
     The state is donated: its arrays are deleted, and only the returned state can be used from here on.
     """
-    return _with_fewer(state, gradient_driven.kill(state.gaussians, chosen), optimizer)
+    return _with_fewer(state, gradient_driven.kill(state.gaussians, mask), optimizer)
 
 
 def _with_fewer(state: TrainState, gaussians: Gaussians, optimizer: Optimizer) -> TrainState:

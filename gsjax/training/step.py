@@ -126,17 +126,17 @@ class _Objective:
         """The statistics of densification with one more view, a photo of `size` pixels."""
         if not self.rule:
             return statistics
-        seen = in_photo(projection, size)
-        distances = jnp.where(seen, projection.depths[0], 0) / self.extent
-        return self.rule.accumulate(statistics, gradients.probe, seen, distances, size)
+        is_visible = in_photo(projection, size)
+        distances = jnp.where(is_visible, projection.depths[0], 0) / self.extent
+        return self.rule.accumulate(statistics, gradients.probe, is_visible, distances, size)
 
     def _loss(self, free: _Free, state: TrainState, batch: Batch, beside: Batch | None, color: Array, key: Array):
         gaussians, probe, numbers = free
         needed, effects = needs(self.terms), self.effects
         batch = replace(batch, camera=simulation.move_camera(effects, numbers, batch.camera, batch.photo))
-        drawn = leave_out(gaussians, self.dropout, jax.random.fold_in(key, 3)) if self.dropout else gaussians
+        remaining = leave_out(gaussians, self.dropout, jax.random.fold_in(key, 3)) if self.dropout else gaussians
         view = rendering.render(
-            drawn,
+            remaining,
             batch.camera,
             capacity=self.capacity,
             background=simulation.light_behind(effects, numbers, batch.camera, color),
@@ -151,7 +151,7 @@ class _Objective:
         pairs = view.splats.pairs
         if beside is not None:
             beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
-            neighbor = multi_view.render_neighbor(drawn, beside, self.capacity, self.depth_mode)
+            neighbor = multi_view.render_neighbor(remaining, beside, self.capacity, self.depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
         total, losses, error = weighted_loss(self.terms, self.rule, gaussians, view, batch)
         total = total if added is None else total + added

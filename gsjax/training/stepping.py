@@ -127,40 +127,40 @@ def advance(
     view_share = VIEW_SHARE
     done, end = steps
     ahead = None if looks is None else int(state.step) - done  # pyright: ignore[reportAttributeAccessIssue]
-    begun: list[Metrics] = []  # of the steps after `done`
+    pending: list[Metrics] = []  # of the steps after `done`
     needed = deque(maxlen=data.num_views)  # by the last steps
     while done < end:
-        step = done + len(begun)
+        step = done + len(pending)
         try:
             target = target or feed(data, seed, view_share)
             here = target(step) if ahead is None else replace(target(step), turn=np.int32(step + ahead))
             state, metrics = train_step(state, here, key)
-            begun.append(metrics)
+            pending.append(metrics)
             is_seen = looks is None or step + 1 == end or looks(step + 1)
-            known = begun if is_seen else begun[:-1]
-            taken = next((index for index, each in enumerate(known) if not _is_taken(each)), len(known))
+            to_check = pending if is_seen else pending[:-1]
+            num_taken = next((index for index, each in enumerate(to_check) if not _is_taken(each)), len(to_check))
         except jax.errors.JaxRuntimeError as error:
             if not is_out_of_memory(error) or not can_stream(state, data, view_share):
                 raise no_room(error, data, capacity) from error
             logger.warning("the device is full: photos are sent to it one by one from here on")
             target, view_share = None, 0.0
             continue
-        for metrics in known[:taken]:
+        for metrics in to_check[:num_taken]:
             done += 1
             needed.append(metrics.needed)
             before, state = state, after(done, state, metrics, capacity)
             if is_compiled_anew(before, state):  # The pairs get their room in the same compilation.
                 capacity = max(capacity, rounded_capacity(max(map(int, needed)), room))
                 train_step = compiled(capacity)
-        if taken < len(known):  # What was begun after it has left the state as it was, too.
-            if not known[taken].overflowed:
+        if num_taken < len(to_check):  # What was begun after it has left the state as it was, too.
+            if not to_check[num_taken].overflowed:
                 missed = target(done) if ahead is None else replace(target(done), turn=np.int32(done + ahead))
                 fault = explain(done, state, missed, capacity)
                 raise InputError(f"step {done + 1:,}, {fault}; training stops before it and keeps what it saved")
-            capacity = rounded_capacity(int(known[taken].needed), room)
-            train_step, begun = compiled(capacity), []
+            capacity = rounded_capacity(int(to_check[num_taken].needed), room)
+            train_step, pending = compiled(capacity), []
         else:
-            begun = begun[taken:]
+            pending = pending[num_taken:]
     return state, capacity
 
 

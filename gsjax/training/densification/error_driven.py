@@ -43,8 +43,8 @@ def probe_loss(view: View, batch: Batch) -> Array:
     """`[]` zero, whose gradient to two channels of zeros is what each Gaussian has of the error and of the photo."""
     assert view.extra is not None, "the probe is rendered as two more channels"
     error = jnp.mean(jnp.abs(view.colors - batch.image), -1)
-    seen = jnp.stack([error, jnp.ones_like(error)], -1) * batch.valid[..., None].astype(jnp.float32)
-    return jnp.sum(jax.lax.stop_gradient(seen) * view.extra)
+    channels = jnp.stack([error, jnp.ones_like(error)], -1) * batch.valid[..., None].astype(jnp.float32)
+    return jnp.sum(jax.lax.stop_gradient(channels) * view.extra)
 
 
 def accumulate(
@@ -177,5 +177,5 @@ def _ranked(eligible: Array, order: Array) -> Array:
 
 def _marked(rows: Array, count: Array) -> Array:
     """`[N]` bool: the first `count` of `rows`."""
-    taken = jnp.arange(len(rows), dtype=jnp.int32) < count
-    return jnp.zeros(len(rows), bool).at[jnp.where(taken, rows, len(rows))].set(True, mode="drop")
+    is_marked = jnp.arange(len(rows), dtype=jnp.int32) < count
+    return jnp.zeros(len(rows), bool).at[jnp.where(is_marked, rows, len(rows))].set(True, mode="drop")

@@ -167,9 +167,9 @@ def cull(gaussians: Gaussians, min_opacity: float) -> Gaussians:
     return kill(gaussians, opacities(gaussians) < min_opacity)
 
 
-def kill(gaussians: Gaussians, chosen: Array) -> Gaussians:
-    """Kill the Gaussians that are chosen, `[N]` bool."""
-    return _with(gaussians, logit_opacities=jnp.where(chosen, DEAD_LOGIT, gaussians.logit_opacities))
+def kill(gaussians: Gaussians, mask: Array) -> Gaussians:
+    """Kill the Gaussians of `mask`, `[N]` bool."""
+    return _with(gaussians, logit_opacities=jnp.where(mask, DEAD_LOGIT, gaussians.logit_opacities))
 
 
 def _with(gaussians: Gaussians, **fields: Array) -> Gaussians:

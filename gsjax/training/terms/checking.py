@@ -57,8 +57,8 @@ def check_term(each: Weighed, width: int, height: int, depth_mode: DepthReading)
     if error is not None:
         missing = _missing(loss, everything, needs)
         if missing:
-            read, wanted = (", ".join(words) for words in (map(NEEDS.__getitem__, missing), map(repr, missing)))
-            raise _refusal(each, f"reads {read}, and does not declare it: needs={{{wanted}}}") from error
+            read, declaration = (", ".join(words) for words in (map(NEEDS.__getitem__, missing), map(repr, missing)))
+            raise _refusal(each, f"reads {read}, and does not declare it: needs={{{declaration}}}") from error
         raise _refusal(each, f"cannot be computed: {_in_words(error)}") from error
     value = jax.eval_shape(loss, *own)
     if not isinstance(value, jax.ShapeDtypeStruct):
@@ -79,8 +79,8 @@ def _refusal(each: Weighed, fault: str) -> InputError:
 
 def _in_words(error: Exception) -> str:
     """The first line of an error: those of jax have pages."""
-    said = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {said[0]}" if said else type(error).__name__
+    lines = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
 def _missing(loss: Callable[..., Any], everything: Seen, needs: Iterable[str]) -> tuple[str, ...] | None:
@@ -88,20 +88,20 @@ def _missing(loss: Callable[..., Any], everything: Seen, needs: Iterable[str]) -
     own = frozenset(needs)
     if _error(loss, _with(everything, own)) is None:
         return ()
-    wanted = [word for word in SHOWN if word not in own]
+    missing = [word for word in SHOWN if word not in own]
     if _error(loss, everything) is not None:
         return None
-    for word in tuple(wanted):
-        fewer = [other for other in wanted if other != word]
+    for word in tuple(missing):
+        fewer = [other for other in missing if other != word]
         if _error(loss, _with(everything, own.union(fewer))) is None:
-            wanted = fewer
-    return tuple(wanted)
+            missing = fewer
+    return tuple(missing)
 
 
-def _error(loss: Callable[..., Any], seen: Seen) -> Exception | None:
+def _error(loss: Callable[..., Any], arguments: Seen) -> Exception | None:
     """Why a term cannot be computed; None: it can. What a user's function raises may be anything."""
     try:
-        jax.eval_shape(loss, *seen)
+        jax.eval_shape(loss, *arguments)
     except Exception as error:
         return error
     return None

@@ -83,9 +83,9 @@ def measured_depth(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     """
     del gaussians
     assert view.depth is not None and batch.depth is not None and batch.trust is not None
-    known = batch.valid & jnp.isfinite(batch.depth) & (batch.depth > 0) & (view.depth > 0)
-    off = jnp.log(jnp.where(known, view.depth, 1)) - jnp.log(jnp.where(known, batch.depth, 1))
-    return masked_mean(jnp.abs(off), jnp.where(known, batch.trust, 0))
+    is_known = batch.valid & jnp.isfinite(batch.depth) & (batch.depth > 0) & (view.depth > 0)
+    off = jnp.log(jnp.where(is_known, view.depth, 1)) - jnp.log(jnp.where(is_known, batch.depth, 1))
+    return masked_mean(jnp.abs(off), jnp.where(is_known, batch.trust, 0))
 
 
 def alignment_term(estimator: sdf.Estimator, measure: Callable[..., Array] = sdf.misalignment) -> Loss:

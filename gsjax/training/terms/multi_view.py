@@ -40,8 +40,8 @@ def multi_view(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     (PGSR). e itself is differentiable to both depths; within `ROUNDING` of home it is zero, without a gradient.
     """
     del gaussians
-    _, off, kept = _journeys(view, batch)
-    return masked_mean(jax.lax.stop_gradient(jnp.exp(-off)) * off, kept)
+    _, off, is_home = _journeys(view, batch)
+    return masked_mean(jax.lax.stop_gradient(jnp.exp(-off)) * off, is_home)
 
 
 def photometric(gaussians: Gaussians, view: View, batch: Batch) -> Array:
@@ -56,11 +56,11 @@ def photometric(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     """
     del gaussians
     assert view.neighbor is not None and view.neighbor.image is not None and view.neighbor.valid is not None
-    seen_at, off, kept = _journeys(view, batch)
-    kept &= jax.vmap(jax.vmap(partial(reads_within, view.neighbor.valid)))(seen_at)
+    seen_at, off, usable = _journeys(view, batch)
+    usable &= jax.vmap(jax.vmap(partial(reads_within, view.neighbor.valid)))(seen_at)
     grey, others = (jnp.mean(image, -1) for image in (batch.image, view.neighbor.image))
-    unlike = 1 - correlation(grey, jax.vmap(jax.vmap(partial(sample_bilinear, others)))(seen_at), kept)
-    return masked_mean(jax.lax.stop_gradient(jnp.exp(-off)) * unlike, kept & (unlike < UNLIKE))
+    unlike = 1 - correlation(grey, jax.vmap(jax.vmap(partial(sample_bilinear, others)))(seen_at), usable)
+    return masked_mean(jax.lax.stop_gradient(jnp.exp(-off)) * unlike, usable & (unlike < UNLIKE))
 
 
 def correlation(a: Array, b: Array, mask: Array) -> Array:
@@ -120,8 +120,8 @@ def _in_front(point: Array) -> tuple[Array, Array]:
 def render_neighbor(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
     """What the terms need of the second view."""
     splats = rendering.splat(gaussians, beside.camera, capacity, depth_mode=rendering.splat_depth_mode(depth_mode))
-    found, _ = depth.expected_depth(splats, depth_mode)
-    return Neighbor(beside.camera, found, splats.pairs, beside.image, beside.valid)
+    neighbor_depth, _ = depth.expected_depth(splats, depth_mode)
+    return Neighbor(beside.camera, neighbor_depth, splats.pairs, beside.image, beside.valid)
 
 
 def drawn_beside(neighbors: np.ndarray, seed: int, step: int) -> int:
