@@ -29,8 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_training(parser, "how long to train each block")
 
 
-def run(scene: str, out: str, blocks: int, only: Sequence[int] = (), **chosen: Any) -> dict[str, Any]:
+def run(scene: str, out: str, blocks: int, only: Sequence[int] = (), **options: Any) -> dict[str, Any]:
     """Train the blocks and merge them."""
     from gsjax import pipeline
 
-    return pipeline.blocks(scene, out, training(**chosen), blocks, only=only)
+    return pipeline.blocks(scene, out, training(**options), blocks, only=only)

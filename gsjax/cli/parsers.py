@@ -111,8 +111,8 @@ def seconds(budget: str) -> float:
     Raises:
         InputError: It is none, or nothing.
     """
-    found = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)([smh])", budget.strip())
-    number = float(found[1]) * UNITS[found[2]] if found else 0.0
+    match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)([smh])", budget.strip())
+    number = float(match[1]) * UNITS[match[2]] if match else 0.0
     if not 0 < number < math.inf:
         raise InputError(f"--budget {budget}: not a time, such as 90s, 10m or 1.5h")
     return number

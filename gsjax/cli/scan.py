@@ -38,8 +38,8 @@ def run(source: str, out: str, preset: str, **options: Any) -> str:
     from gsjax.pipeline.scan import table
     from gsjax.report import tables
 
-    chosen = {name: options.pop(name) for name in TRAINING if name in options}
-    settings = training(preset, **chosen)
+    training_options = {name: options.pop(name) for name in TRAINING if name in options}
+    settings = training(preset, **training_options)
     length = REFINEMENTS[REFINED_BY[preset]]
     refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
     report = pipeline.scan(source, out, settings, refinement, **options)

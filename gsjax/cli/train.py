@@ -133,8 +133,8 @@ def run(
 
         used = _devices(devices, coordinator)
         if used != 1 or options.get("views_per_step", 1) > 1:
-            for name, given in (("budget", budget), ("view", view)):
-                if given:
+            for name, value in (("budget", budget), ("view", view)):
+                if value:
                     raise InputError(f"--{name}: needs one device and --views-per-step 1")
         if view:
             from gsjax import viewer
@@ -213,9 +213,9 @@ def _settings(
     candidates = {name: training(name, **options) for name in ((preset,) if preset else LENGTHS)}
     is_set = any(one.startswith("model.max_gaussians=") for one in options.get("assignments", ()))
     lasting = pipeline.scaled if is_set else pipeline.resized
-    chosen, line = pipeline.budgeted(scene, candidates, limit, lasting)
+    settings, line = pipeline.budgeted(scene, candidates, limit, lasting)
     print(f"budget of {budget}: {line}", file=sys.stderr)
-    return chosen
+    return settings
 
 
 def add_training(parser: argparse.ArgumentParser, length: str) -> None:

@@ -119,9 +119,9 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
 def _write_view(folder: Path, name: str, camera: Camera, view: solids.Trace) -> None:
     Image.fromarray(to_bytes(view.colors)).save(folder / "images" / f"{name}.png")
     np.savez_compressed(folder / "depth" / f"{name}.npz", depth=view.depth, label=view.labels)
-    seen, turn = np.asarray(view.normals), np.asarray(rotation(camera))
+    normals, turn = np.asarray(view.normals), np.asarray(rotation(camera))
     np.savez_compressed(
-        folder / "normals" / f"{name}.npz", cam=seen.astype(np.float16), world=(seen @ turn).astype(np.float16)
+        folder / "normals" / f"{name}.npz", cam=normals.astype(np.float16), world=(normals @ turn).astype(np.float16)
     )
 
 
@@ -129,8 +129,8 @@ def _seen_samples(surface: Mesh, cameras: list[Camera], seed: int) -> _Samples:
     """Three times as many as the truth needs: the table reaches beyond it, and views miss some."""
     num_solids, num_table = (3 * count for count in TRUTH_SAMPLES)
     points, normals, on_table = true_surface.sample_points(surface, num_solids, num_table, seed)
-    seen = np.stack([np.asarray(_visible_all(points, camera)) for camera in cameras])
-    return _Samples(points, normals, on_table, seen)
+    visible = np.stack([np.asarray(_visible_all(points, camera)) for camera in cameras])
+    return _Samples(points, normals, on_table, visible)
 
 
 def _truth_points(samples: _Samples) -> dict[str, np.ndarray]:
@@ -139,12 +139,12 @@ def _truth_points(samples: _Samples) -> dict[str, np.ndarray]:
     views = samples.visible[training].sum(axis=0)
     usable = views >= min(TRUTH_VIEWS, training.sum())
     usable &= ~samples.on_table | (np.abs(samples.points[:, :2]).max(axis=1) < TRUTH_HALF)
-    chosen = _first_of_each(usable, samples.on_table, TRUTH_SAMPLES)
+    indices = _first_of_each(usable, samples.on_table, TRUTH_SAMPLES)
     return {
-        "points": samples.points[chosen],
-        "normals": samples.normals[chosen].astype(np.float16),
-        "label": samples.on_table[chosen].astype(np.uint8),
-        "n_train_views": np.minimum(views[chosen], 255).astype(np.uint8),
+        "points": samples.points[indices],
+        "normals": samples.normals[indices].astype(np.float16),
+        "label": samples.on_table[indices].astype(np.uint8),
+        "n_train_views": np.minimum(views[indices], 255).astype(np.uint8),
     }
 
 
@@ -158,8 +158,8 @@ def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: i
     """Poses, and noisy points with the pixels of the views that see them, as structure from motion leaves them."""
     pycolmap = require("pycolmap")
     rng = np.random.default_rng(seed)
-    chosen = _first_of_each(samples.visible.sum(axis=0) >= 2, samples.on_table, SPARSE_POINTS)
-    points, seen = samples.points[chosen], _limited(samples.visible[:, chosen], rng)
+    indices = _first_of_each(samples.visible.sum(axis=0) >= 2, samples.on_table, SPARSE_POINTS)
+    points, visible = samples.points[indices], _limited(samples.visible[:, indices], rng)
     pixels = np.stack([np.asarray(_project_all(points, camera)) for camera in cameras])
     pixels += rng.normal(0, PIXEL_NOISE, pixels.shape).astype(np.float32)
     colors = to_bytes(linear_to_srgb(solids.in_blocks(solids.shade_all, points)))
@@ -173,7 +173,7 @@ def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: i
     )
     tracks = [[] for _ in points]
     for index, camera in enumerate(cameras):
-        observed = np.flatnonzero(seen[index])
+        observed = np.flatnonzero(visible[index])
         for order, point in enumerate(observed):
             tracks[point].append(pycolmap.TrackElement(index + 1, order))
         image = pycolmap.Image(f"{index:03d}.png", pixels[index, observed].astype(np.float64), 1, index + 1)

@@ -86,7 +86,7 @@ def _header(handle: IO[bytes]) -> Header:
     return Header(shape, dtype)
 
 
-def _check_known(file: Path, keys: tuple[str, ...], known: list[str]) -> None:
-    missing = [key for key in keys if key not in known]
+def _check_known(file: Path, keys: tuple[str, ...], names: list[str]) -> None:
+    missing = [key for key in keys if key not in names]
     if missing:
-        raise InputError(f"{file}: lacks {', '.join(missing)}; it holds {', '.join(known)}")
+        raise InputError(f"{file}: lacks {', '.join(missing)}; it holds {', '.join(names)}")

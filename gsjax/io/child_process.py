@@ -101,8 +101,8 @@ def _end(child: subprocess.Popen) -> None:
 def _cause(code: int, log: BinaryIO) -> str:
     """How a child ended that said nothing: by which signal, and its last words."""
     log.seek(0)
-    said = log.read()
-    words = _LAST_WORDS.findall(said) or said.strip().splitlines()
+    output = log.read()
+    words = _LAST_WORDS.findall(output) or output.strip().splitlines()
     last = f" ({words[-1].decode(errors='replace').strip()})" if words else ""
     how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
     memory = "; was there memory left?" if code == -signal.SIGKILL else ""

@@ -65,16 +65,16 @@ def read_tracks(model: Path) -> Tracks:
 
 def _observations(model: Model, image: PosedImage) -> tuple[np.ndarray, np.ndarray]:
     """`[O]` rows of the points that a photo saw, and `[O, 2]` rays to them."""
-    wanted, pixels = image.keypoints["point"], np.ascontiguousarray(image.keypoints["xy"])
-    if not len(wanted) or not len(model.points):
+    point_ids, pixels = image.keypoints["point"], np.ascontiguousarray(image.keypoints["xy"])
+    if not len(point_ids) or not len(model.points):
         return np.empty(0, np.int32), np.empty((0, 2), np.float32)
-    rows = np.minimum(np.searchsorted(model.point_ids, wanted), len(model.points) - 1)
-    seen = (model.point_ids[rows] == wanted) & is_float32(pixels).all(axis=1)
-    if not seen.any():
+    rows = np.minimum(np.searchsorted(model.point_ids, point_ids), len(model.points) - 1)
+    has_point = (model.point_ids[rows] == point_ids) & is_float32(pixels).all(axis=1)
+    if not has_point.any():
         return np.empty(0, np.int32), np.empty((0, 2), np.float32)
-    rays = camera_points(model.cameras[image.camera], pixels[seen])
+    rays = camera_points(model.cameras[image.camera], pixels[has_point])
     usable = is_float32(rays).all(axis=1)
-    return rows[seen][usable].astype(np.int32), rays[usable].astype(np.float32)
+    return rows[has_point][usable].astype(np.int32), rays[usable].astype(np.float32)
 
 
 def _image_places(root: Path, model: Path) -> list[Path]:

@@ -88,7 +88,7 @@ def _records(file: Path, record_at: Callable[[bytes, int], tuple[Record, int]]) 
 
 def _camera_at(data: bytes, at: int) -> tuple[tuple[int, Lens], int]:
     camera, number, width, height = _CAMERA.unpack_from(data, at)
-    model = next((name for name, (known, _) in CAMERA_MODELS.items() if known == number), None)
+    model = next((name for name, (model_id, _) in CAMERA_MODELS.items() if model_id == number), None)
     if model is None:
         raise InputError(f"unknown camera model {number} of camera {camera}")
     count = CAMERA_MODELS[model][1]

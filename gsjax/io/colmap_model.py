@@ -55,12 +55,12 @@ def find_model(root: Path) -> Path | None:
     COLMAP writes a model into `sparse/0`, and others next to it where photos are not connected; other programs leave
     more of them, by other names. The one with the most photos is taken, and a line says so.
     """
-    found: dict[str, Path] = {}  # by where links lead
+    folders: dict[str, Path] = {}  # by where links lead
     for place in PLACES:
         for folder in _folders(root, place):
             if _suffix(folder):
-                found.setdefault(os.path.realpath(folder), folder)
-    models = list(found.values())
+                folders.setdefault(os.path.realpath(folder), folder)
+    models = list(folders.values())
     return _largest(root, models) if len(models) > 1 else next(iter(models), None)
 
 
@@ -114,8 +114,10 @@ def _suffix(folder: Path) -> str | None:
     counts = {suffix: _count_images(folder, suffix) for suffix in whole}
     best, other = sorted(whole, key=lambda suffix: -counts[suffix])
     if counts[best] > counts[other]:
-        told = f"{folder}/images{best} with {counts[best]} photos is taken; images{other} beside it has {counts[other]}"
-        print_once(f"COLMAP: {told}")
+        message = (
+            f"{folder}/images{best} with {counts[best]} photos is taken; images{other} beside it has {counts[other]}"
+        )
+        print_once(f"COLMAP: {message}")
     return best
 
 
@@ -137,7 +139,7 @@ def _count_images(model: Path, suffix: str) -> int:
 
 
 @lru_cache(maxsize=64)  # Text is read whole for it.
-def _counted(file: Path, written: int) -> int:
+def _counted(file: Path, modified_ns: int) -> int:
     """The images in a file as it was written at a time, in nanoseconds."""
     return _READERS[file.suffix].count_images(file)
 

@@ -51,11 +51,11 @@ def by_id(file: Path, cameras: Iterable[tuple[int, Lens]]) -> dict[int, Lens]:
     Raises:
         InputError: Two that differ have one id.
     """
-    found: dict[int, Lens] = {}
+    lenses: dict[int, Lens] = {}
     for camera, lens in cameras:
-        if found.setdefault(camera, lens) != lens:
+        if lenses.setdefault(camera, lens) != lens:
             raise InputError(f"{file}: camera {camera} is there twice, and not the same")
-    return found
+    return lenses
 
 
 def decode_text(text: bytes) -> str:

@@ -78,10 +78,10 @@ def write_whole(model: "pycolmap.Reconstruction", folder: Path) -> None:
             model.write_binary(folder)
         for file in folder.glob("*.bin"):
             flush(file)
-        written = read_model(folder)
+        stored_model = read_model(folder)
     except (OSError, ValueError, RuntimeError) as error:  # InputError is a ValueError: what was written is cut.
         raise _unwritten(folder) from error
-    if (len(written.images), len(written.points)) != (model.num_reg_images(), model.num_points3D()):
+    if (len(stored_model.images), len(stored_model.points)) != (model.num_reg_images(), model.num_points3D()):
         raise _unwritten(folder)
 
 

@@ -49,8 +49,8 @@ def in_srgb(path: Path, picture):
             mode, transform = _to_srgb(profile)
             return in_mode(picture, "RGB") if transform is None else transform.apply(_for_profile(picture, mode))
         except (ImageCms.PyCMSError, OSError, ValueError) as error:
-            told = f"{path}: its colour profile cannot be used ({error}); its colours are taken as sRGB"
-            print_first((path.parent, profile), told)
+            message = f"{path}: its colour profile cannot be used ({error}); its colours are taken as sRGB"
+            print_first((path.parent, profile), message)
     return in_mode(picture, "RGB")
 
 
@@ -70,8 +70,8 @@ def _profile_of(path: Path, picture) -> bytes | None:
         return embedded
     coded = _coding_of(path, picture)
     if coded is not None and coded.transfer in HDR:
-        told = f"{path}: is coded for high dynamic range ({HDR[coded.transfer]}), which is not converted"
-        print_first((path.parent, coded), f"{told}; its colours are taken as sRGB")
+        message = f"{path}: is coded for high dynamic range ({HDR[coded.transfer]}), which is not converted"
+        print_first((path.parent, coded), f"{message}; its colours are taken as sRGB")
         return None
     if coded is not None:
         return _coded_profile(coded.primaries)

@@ -50,7 +50,7 @@ class DepthMaps:
         return on_grid(self.read[frame.name](), frame, scale, self.windows[frame.name])
 
 
-def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tuple[Frame, ...]) -> DepthMaps:
+def open_depth_maps(scene: str | Path, source: str, unit: str | None, frames: tuple[Frame, ...]) -> DepthMaps:
     """The depth maps of frames: `NAME.png` (16 bit) or `NAME.npy`, camera z, 0 or not finite where nothing is known.
 
     A map has its photo's name with the suffix in place of the photo's or after it. A folder `confidence` next to that
@@ -60,7 +60,7 @@ def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tup
 
     Args:
         scene: Folder of the data set.
-        given: Folder of the maps, in `scene` or anywhere; or "auto": the maps that the data set lists, or else those
+        source: Folder of the maps, in `scene` or anywhere; or "auto": the maps that the data set lists, or else those
             of its folder `depth`.
         unit: Of `UNITS`; None: as `depth.json` in the folder says, `{"unit": "mm"}`, or as the data set lists it.
         frames: Those that may have one.
@@ -70,12 +70,12 @@ def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tup
             depth, and of the view of their photo.
     """
     listed = {frame.name: frame.depth for frame in frames if frame.depth is not None}
-    if given == AUTO and listed:
+    if source == AUTO and listed:
         return _listed_maps(listed, unit, frames)
-    given = USUAL_FOLDER if given == AUTO else given
-    folder = next((place for place in (Path(scene) / given, Path(given)) if place.is_dir()), None)
+    source = USUAL_FOLDER if source == AUTO else source
+    folder = next((place for place in (Path(scene) / source, Path(source)) if place.is_dir()), None)
     if folder is None:
-        raise InputError(f"--depth {given}: no such folder of depth maps, in {scene} or here")
+        raise InputError(f"--depth {source}: no such folder of depth maps, in {scene} or here")
     existing_files = files_of_photos(folder, (frame.name for frame in frames), _SUFFIXES)
     if not existing_files:
         raise InputError(

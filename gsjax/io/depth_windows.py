@@ -42,24 +42,24 @@ def window_of(file: Path, size: tuple[int, int], frame: Frame, intrinsics: np.nd
         InputError: The shapes are of different views.
     """
     width, height = size
-    shown = (frame.width, frame.height) if frame.origin is None else frame.origin.photo
+    photo_size = (frame.width, frame.height) if frame.origin is None else frame.origin.photo
     if intrinsics is not None:
         scale = intrinsics[[0, 1], [0, 1]] / frame.K[[0, 1], [0, 1]]
         left, top = (float(value) for value in intrinsics[:2, 2] - scale * frame.K[:2, 2])
         right, bottom = left + float(scale[0]) * frame.width, top + float(scale[1]) * frame.height
         return Window(left, top, right, bottom, True), f"maps of {width}x{height} are read with their own intrinsics"
-    if same_shape(size, shown):
+    if same_shape(size, photo_size):
         return Window(0, 0, width, height), ""
-    shape = shown[0] / shown[1]
+    shape = photo_size[0] / photo_size[1]
     across, down = min(width, height * shape), min(height, width / shape)
     is_turned = (width > height and shape < 1) or (width < height and shape > 1)
     if is_turned or across * down < _LEAST * width * height:
         turned = "; one of them is turned" if is_turned else ""
-        raise InputError(f"{file}: depth map is {width}x{height}, its photo {shown[0]}x{shown[1]}{turned}")
+        raise InputError(f"{file}: depth map is {width}x{height}, its photo {photo_size[0]}x{photo_size[1]}{turned}")
     left, top = (width - across) / 2, (height - down) / 2
     note = (
         f"of maps of {width}x{height} the middle {across:.0f}x{down:.0f} is taken, the shape of photos of"
-        f" {shown[0]}x{shown[1]}"
+        f" {photo_size[0]}x{photo_size[1]}"
     )
     return Window(left, top, left + across, top + down), note
 

@@ -142,11 +142,11 @@ def replaced_files(folder: Path) -> Iterator[Path]:
         InputError: The disk is full, read-only, or the like.
     """
     finish_replacement(folder)
-    with workspace(folder / PENDING) as made:
-        yield made
-        for file in made.iterdir():
+    with workspace(folder / PENDING) as new_folder:
+        yield new_folder
+        for file in new_folder.iterdir():
             flush(file)
-        put_in_place(made, folder / PENDING)
+        put_in_place(new_folder, folder / PENDING)
     finish_replacement(folder)
 
 
@@ -178,11 +178,11 @@ def folder_if_used(path: str | Path) -> Iterator[Path]:
         InputError: It cannot be created, or a file has its name.
     """
     path = Path(path)
-    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    new_folders = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
         yield make_folder(path)
     finally:
-        for folder in made:
+        for folder in new_folders:
             with suppress(OSError):  # Not empty, or never made.
                 folder.rmdir()
 

@@ -65,12 +65,12 @@ def stated_place(path: Path) -> Place:
     """
     suffix = path.suffix.lower()
     if suffix == ".ply":
-        kept = _in_ply(path)
+        content = _in_ply(path)
     elif suffix == ".glb":
-        kept = _in_glb(path)
+        content = _in_glb(path)
     else:
-        kept = json_files.read(_beside(path)) if _beside(path).is_file() else None
-    return UNPLACED if kept is None else parse_place(kept, path)
+        content = json_files.read(_beside(path)) if _beside(path).is_file() else None
+    return UNPLACED if content is None else parse_place(content, path)
 
 
 def _beside(path: Path) -> Path:

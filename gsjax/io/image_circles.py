@@ -28,8 +28,8 @@ def with_image_circles(photos: Sequence[Photo]) -> list[Photo]:
         InputError: One of them cannot be read.
     """
     circular = {lens for lens in {photo.lens for photo in photos} if is_circular(lens)}
-    found = {lens: replace(lens, reach=_reach(lens, photos)) for lens in circular}
-    return [replace(photo, lens=found.get(photo.lens, photo.lens)) for photo in photos]
+    measured_lenses = {lens: replace(lens, reach=_reach(lens, photos)) for lens in circular}
+    return [replace(photo, lens=measured_lenses.get(photo.lens, photo.lens)) for photo in photos]
 
 
 def _reach(lens: Lens, photos: Sequence[Photo]) -> float:

@@ -34,13 +34,13 @@ def locate_photos(root: Path, photos: Sequence[Photo], images: str | None) -> li
         if not os.path.isdir(root / images):
             raise InputError(f"{root / images}: no such folder of images")
         return _in_folder(photos, root / images)
-    found = _with_files(photos, [photo.path for photo in photos])
-    if _count(found):
-        return found
+    originals = _with_files(photos, [photo.path for photo in photos])
+    if _count(originals):
+        return originals
     reduced = [_in_folder(photos, root / folder) for folder in REDUCED]
     best = max(range(len(REDUCED)), key=lambda index: _count(reduced[index]))
     if not _count(reduced[best]):
-        return found
+        return originals
     print_once(f"images: none where {root} says; {root / REDUCED[best]} is taken")
     return reduced[best]
 
@@ -51,7 +51,7 @@ def found_files(paths: Sequence[Path]) -> list[Path]:
     Stems are compared whatever their suffix and case. One that two of the paths share, or two images, is ambiguous:
     the path stays as it is.
     """
-    wanted = Counter(_stem(path) for path in paths)
+    stem_counts = Counter(_stem(path) for path in paths)
 
     @cache
     def images_in(folder: Path) -> dict[Path, list[Path]]:
@@ -69,7 +69,7 @@ def found_files(paths: Sequence[Path]) -> list[Path]:
         if spelled is not None:
             return spelled
         same = images_in(path.parent).get(_stem(path), [])
-        return same[0] if len(same) == 1 and wanted[_stem(path)] == 1 else path
+        return same[0] if len(same) == 1 and stem_counts[_stem(path)] == 1 else path
 
     return [existing(path) for path in paths]
 

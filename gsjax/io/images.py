@@ -259,13 +259,13 @@ def _pixels(path: Path, rgb_of: Callable[[Any], Any]) -> tuple[np.ndarray, np.nd
 @contextmanager
 def _decoded(path: Path) -> Iterator[Any]:
     """The picture with its pixels, while memory is kept for what becomes of it in the block."""
-    with ExitStack() as kept:
-        picture = kept.enter_context(open_image(path))
+    with ExitStack() as stack:
+        picture = stack.enter_context(open_image(path))
         width, height = picture.size
         if width * height > _ALWAYS_ROOM:
             a_pixel = _DECODED_DEEP if _is_deep(picture) else _WITH_MATTE if _has_alpha(picture) else _DECODED
             a_pixel += _CONVERTED * bool(picture.info.get("icc_profile"))
-            kept.enter_context(memory_for(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height))
+            stack.enter_context(memory_for(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height))
         is_of_16_bits = not _is_deep(picture) and ";16" in str(picture.tile)
         picture = _loaded(path, picture)
         if is_of_16_bits:
@@ -282,8 +282,8 @@ def _loaded(path: Path, picture):
             whole = _without_end_marker(path) if picture.format in _JPEGS else None
             if whole is None:
                 raise
-            told = f"{path}: its end marker is missing, its pixels are all there; it is read"
-            print_first((path.parent, "end marker"), told)
+            message = f"{path}: its end marker is missing, its pixels are all there; it is read"
+            print_first((path.parent, "end marker"), message)
             return whole
     if picture.mode == "LAB":
         raise InputError(f"{path}: its colours are in Lab, which is not read; save it in RGB")
@@ -357,10 +357,10 @@ def _in_bytes(path: Path, picture) -> np.ndarray:
 def _format(path: Path) -> str:
     """What Pillow calls the format of a suffix."""
     Image.init()
-    known = Image.registered_extensions()
-    if path.suffix.lower() not in known:
+    formats = Image.registered_extensions()
+    if path.suffix.lower() not in formats:
         raise InputError(f"{path}: no format of images ends in {path.suffix or 'nothing'}")
-    return known[path.suffix.lower()]
+    return formats[path.suffix.lower()]
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:

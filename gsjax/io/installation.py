@@ -125,8 +125,8 @@ def check_device() -> Iterator[Finding]:
         yield Finding("device", False, str(error).splitlines()[0], "unset JAX_PLATFORMS")
         return
     unused = gpu_name() if engine.is_on_cpu and os.environ.get("JAX_PLATFORMS") != "cpu" else None
-    told = engine.device if unused is None else f"{engine.device}, and {unused} is not used"
-    yield Finding("device", unused is None, told, "pip install 'gsjax[cuda13]', or cuda12 where the driver is older")
+    result = engine.device if unused is None else f"{engine.device}, and {unused} is not used"
+    yield Finding("device", unused is None, result, "pip install 'gsjax[cuda13]', or cuda12 where the driver is older")
     remedy = "pip install --force-reinstall numba" if engine.is_on_cpu else "pip install --upgrade 'jax[cuda13]'"
     yield Finding("engine", not engine.why, f"{engine.name} {engine.why}".strip(), remedy)
 
@@ -141,8 +141,8 @@ def check_memory() -> Finding:
 def check_disk(folder: Path) -> Finding:
     """Whether a folder has room for a run."""
     free = shutil.disk_usage(folder).free / GIB
-    told = f"{free:.1f} GiB free in {folder.resolve()}"
-    return Finding("disk", free >= LEAST_DISK, told, "cd FOLDER, one on a disk with more room")
+    result = f"{free:.1f} GiB free in {folder.resolve()}"
+    return Finding("disk", free >= LEAST_DISK, result, "cd FOLDER, one on a disk with more room")
 
 
 def check_cache() -> Finding:

@@ -42,8 +42,8 @@ def check(where: object, value: Any, shape: Shape, at: str = "") -> None:
             check(where, item, shape[0], f"{at}.{index}" if at else str(index))
     elif isinstance(shape, dict):
         every = shape.get(str)
-        wanted = dict.fromkeys(value, every) if str in shape else shape
-        for key, inner in wanted.items():
+        fields = dict.fromkeys(value, every) if str in shape else shape
+        for key, inner in fields.items():
             name, place = key.removesuffix("?"), f"{at}.{key}".lstrip(".").removesuffix("?")
             if name in value:
                 check(where, value[name], inner, place)
@@ -78,10 +78,10 @@ def _is_text(value: str) -> bool:
 
 
 def _mismatch(where: object, value: Any, shape: Shape, at: str) -> InputError:
-    shown = {dict: "a table", list: f"a list of {len(value) if isinstance(value, list) else 0}"}.get(type(value))
+    kind = {dict: "a table", list: f"a list of {len(value) if isinstance(value, list) else 0}"}.get(type(value))
     is_huge = type(value) is int and abs(value) > MOST
-    told = shown or ("an integer too large" if is_huge else repr(value)[:100])
-    return InputError(f"{where}: {at or 'the whole'} is {told}, expected {_named(shape)}")
+    description = kind or ("an integer too large" if is_huge else repr(value)[:100])
+    return InputError(f"{where}: {at or 'the whole'} is {description}, expected {_named(shape)}")
 
 
 def _named(shape: Shape) -> str:

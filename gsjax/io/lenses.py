@@ -245,10 +245,10 @@ def _faces(lens: Lens) -> tuple[PinholeView, ...]:
 def _recorded(camera, source: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """`[H, W]` bool: the photo has the pixel of a ray `[H, W, 3]`, and the lens gives that ray back for it."""
     inside = np.isfinite(source).all(-1) & (source >= 0).all(-1) & (source <= [camera.width, camera.height]).all(-1)
-    wanted = rays[inside] / np.linalg.norm(rays[inside], axis=-1, keepdims=True)
+    directions = rays[inside] / np.linalg.norm(rays[inside], axis=-1, keepdims=True)
     back = np.asarray(camera.cam_ray_from_img(image_points=np.ascontiguousarray(source[inside]))).reshape(-1, 3)
     recorded = np.zeros(source.shape[:2], bool)
-    recorded[inside] = np.linalg.norm(np.where(np.isfinite(back), back, 0) - wanted, axis=-1) < _ALIKE
+    recorded[inside] = np.linalg.norm(np.where(np.isfinite(back), back, 0) - directions, axis=-1) < _ALIKE
     return recorded
 
 

@@ -33,14 +33,14 @@ def machine() -> dict[str, str | int | None]:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that are installed; in a git checkout, the commit of the source."""
-    found = {"python": platform.python_version()}
+    by_package = {"python": platform.python_version()}
     for package in PACKAGES:
         try:
-            found[package] = metadata.version(package)
+            by_package[package] = metadata.version(package)
         except metadata.PackageNotFoundError:
             continue
     commit = _commit()
-    return found | {"commit": commit} if commit else found
+    return by_package | {"commit": commit} if commit else by_package
 
 
 def peak_memory(path: str | Path = "/proc/self/status") -> int:

@@ -77,12 +77,12 @@ def add(folder: Path, manifest: dict[str, Any], name: str, file: Path, normals: 
     json_files.write(folder / MANIFEST, manifest)
 
 
-def find(scene: str | Path, given: str) -> str:
+def find(scene: str | Path, name: str) -> str:
     """The folder that `gsjax train --normals` means.
 
     Args:
         scene: Folder of the data set.
-        given: A folder; or the name of one in the data set, with or without `normals_` before it; or "auto", the only
+        name: A folder; or the name of one in the data set, with or without `normals_` before it; or "auto", the only
             one there that `gsjax normals` made.
 
     Returns:
@@ -93,25 +93,25 @@ def find(scene: str | Path, given: str) -> str:
         InputError: "auto", and there is none, or more than one.
     """
     scene = Path(scene)
-    if os.path.isdir(given):
-        return given
-    if given == "auto":
-        found = sorted(path.parent for path in scene.glob(f"*/{MANIFEST}"))
-        if len(found) != 1:
-            names = ", ".join(path.name for path in found) or "none"
+    if os.path.isdir(name):
+        return name
+    if name == "auto":
+        folders = sorted(path.parent for path in scene.glob(f"*/{MANIFEST}"))
+        if len(folders) != 1:
+            names = ", ".join(path.name for path in folders) or "none"
             raise InputError(f"--normals: {scene} holds {names}; name one, or make one with gsjax normals")
-        return str(found[0].resolve())
-    places = (scene / given, scene / f"{PREFIX}{given}")
-    return next((str(place.resolve()) for place in places if os.path.isdir(place)), given)
+        return str(folders[0].resolve())
+    places = (scene / name, scene / f"{PREFIX}{name}")
+    return next((str(place.resolve()) for place in places if os.path.isdir(place)), name)
 
 
 def _read(folder: Path) -> dict[str, Any]:
     manifest = json_files.read(folder / MANIFEST)
     try:
-        known = isinstance(manifest["made_by"]["network"], str) and isinstance(manifest["maps"], dict)
+        is_valid = isinstance(manifest["made_by"]["network"], str) and isinstance(manifest["maps"], dict)
     except (TypeError, KeyError):
-        known = False
-    if not known:
+        is_valid = False
+    if not is_valid:
         raise InputError(f"{folder / MANIFEST}: does not say what made the maps")
     return manifest
 
@@ -120,5 +120,5 @@ def _difference(key: str, before: Any, now: Any) -> str:
     if isinstance(before, dict) and isinstance(now, dict):
         inner = next(k for k in {**before, **now} if before.get(k) != now.get(k))
         return _difference(f"{key}.{inner}", before.get(inner), now.get(inner))
-    shown = [str(v)[:12] if key == "sha256" else json.dumps(v) for v in (before, now)]
-    return f"{key} = {shown[0]}, not {shown[1]}"
+    texts = [str(v)[:12] if key == "sha256" else json.dumps(v) for v in (before, now)]
+    return f"{key} = {texts[0]}, not {texts[1]}"

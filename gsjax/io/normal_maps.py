@@ -85,7 +85,7 @@ def resize_normals(unit: np.ndarray, width: int, height: int) -> np.ndarray:
     if unit.shape[:2] == (height, width):
         return unit
     mixed = cv2.resize(unit, (width, height), interpolation=cv2.INTER_LINEAR)
-    return _known(mixed, cv2.resize(unit, (width, height), interpolation=cv2.INTER_NEAREST))
+    return _unit_where_known(mixed, cv2.resize(unit, (width, height), interpolation=cv2.INTER_NEAREST))
 
 
 def _reader(file: Path, frame: Frame, undistorted: bool) -> Callable[[], np.ndarray]:
@@ -101,8 +101,8 @@ def _size(file: Path) -> tuple[int, int]:
     """Width and height of a map, from its header."""
     if file.suffix == ".png":
         return image_size(file)
-    known = headers(file)
-    shape, dtype = known[_key(file, list(known))]
+    arrays = headers(file)
+    shape, dtype = arrays[_key(file, list(arrays))]
     if dtype.kind != "f":
         raise InputError(f"{file}: normal map of type {dtype}, not of floats")
     if len(shape) != 3 or 0 in shape or 3 not in (shape[0], shape[2]):
@@ -140,7 +140,7 @@ def _read_undistorted(file: Path, frame: Frame, origin: Origin) -> np.ndarray:
     source = positions * np.array([unit.shape[1], unit.shape[0]], np.float32) - np.float32(0.5)
     mixed = cv2.remap(unit, source, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     nearest = cv2.remap(unit, source, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    return _known(mixed, np.where(positions[..., :1] < 0, np.float32(0), nearest))
+    return _unit_where_known(mixed, np.where(positions[..., :1] < 0, np.float32(0), nearest))
 
 
 def _shrunk(unit: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -148,10 +148,10 @@ def _shrunk(unit: np.ndarray, width: int, height: int) -> np.ndarray:
     if unit.shape[0] <= height or unit.shape[1] <= width:
         return unit
     mixed = cv2.resize(unit, (width, height), interpolation=cv2.INTER_AREA)
-    return _known(mixed, cv2.resize(unit, (width, height), interpolation=cv2.INTER_NEAREST))
+    return _unit_where_known(mixed, cv2.resize(unit, (width, height), interpolation=cv2.INTER_NEAREST))
 
 
-def _known(mixed: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+def _unit_where_known(mixed: np.ndarray, nearest: np.ndarray) -> np.ndarray:
     """Means of vectors made unit; zero where the nearest one is, so that no edge is invented.
 
     Zero vectors add nothing to a mean's direction: what is unknown does not bleed into what is known.

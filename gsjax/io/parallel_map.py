@@ -24,11 +24,11 @@ def parallel_map(made_of: Callable[[T], R], things: Iterable[T], most_threads: i
         Exception: What `made_of` raises of a thing, when it is that thing's turn.
     """
     threads = min(os.cpu_count() or 1, most_threads)
-    begun: deque = deque()
+    futures: deque = deque()
     with ThreadPoolExecutor(threads) as pool:
         for thing in things:
-            begun.append(pool.submit(made_of, thing))
-            if len(begun) > threads:
-                yield begun.popleft().result()
-        while begun:
-            yield begun.popleft().result()
+            futures.append(pool.submit(made_of, thing))
+            if len(futures) > threads:
+                yield futures.popleft().result()
+        while futures:
+            yield futures.popleft().result()

@@ -114,19 +114,19 @@ def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
 
 def _lens_of_file(photo: Photo) -> Lens:
     """The photo's lens at the size of its file."""
-    lens, found = photo.lens, image_size(photo.path)
+    lens, size = photo.lens, image_size(photo.path)
     camera = (lens.width, lens.height)
-    if found == camera:
+    if size == camera:
         return lens
-    if same_shape(found, camera):
-        return resize_lens(lens, *found)
+    if same_shape(size, camera):
+        return resize_lens(lens, *size)
     turned = upright_size(photo.path)
-    if turned != found and same_shape(turned, camera):
+    if turned != size and same_shape(turned, camera):
         raise InputError(
-            f"{photo.path}: image is stored as {found[0]}x{found[1]} and its EXIF orientation turns it, but its camera "
+            f"{photo.path}: image is stored as {size[0]}x{size[1]} and its EXIF orientation turns it, but its camera "
             f"says {camera[0]}x{camera[1]}: the model was made from turned photos; save them turned, and load again"
         )
-    raise InputError(f"{photo.path}: image is {found[0]}x{found[1]} but its camera says {camera[0]}x{camera[1]}")
+    raise InputError(f"{photo.path}: image is {size[0]}x{size[1]} but its camera says {camera[0]}x{camera[1]}")
 
 
 def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Frame:

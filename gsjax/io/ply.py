@@ -141,10 +141,10 @@ def read_gaussians(path: str | Path) -> Gaussians:
     ]
     fine = is_float32(np.concatenate(columns, axis=1)).all(axis=1)
     if not fine.all():
-        told = f"{path}: {(~fine).sum()} of {len(fine)} Gaussians hold values that are not finite"
+        message = f"{path}: {(~fine).sum()} of {len(fine)} Gaussians hold values that are not finite"
         if not fine.any():
-            raise InputError(told)
-        print_once(f"{told}; they are left out")
+            raise InputError(message)
+        print_once(f"{message}; they are left out")
     means, quats, log_scales, logits, dc, rest = (column[fine] for column in columns)
     return Gaussians(
         means, quats, log_scales, logits[:, 0], dc[:, None], from_rest_columns(rest), pixel_filter=read_filter(header)

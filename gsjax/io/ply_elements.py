@@ -59,10 +59,10 @@ def rest_names(path: Path, names: tuple[str, ...]) -> list[str]:
     count = sum(name.startswith("f_rest_") for name in names)
     if count not in _REST_COUNTS:
         raise InputError(f"{path}: has {count} columns f_rest_*, degrees 0-4 have one of {_REST_COUNTS}")
-    wanted = [f"f_rest_{i}" for i in range(count)]
-    if not set(wanted) <= set(names):
+    expected = [f"f_rest_{i}" for i in range(count)]
+    if not set(expected) <= set(names):
         raise InputError(f"{path}: its columns f_rest_* are not numbered from 0 to {count - 1}")
-    return wanted
+    return expected
 
 
 def from_rest_columns(columns: np.ndarray) -> np.ndarray:
@@ -85,8 +85,8 @@ def filter_comments(pixel_filter: PixelFilter) -> list[str]:
 
 def read_filter(header: str) -> PixelFilter:
     """What the comments say, the last of them where they disagree."""
-    told = ["".join(either).lower() for either in _FILTER_COMMENT.findall(header)]
-    return "mip" if told and told[-1] in ("mip", "1") else "classic"
+    values = ["".join(either).lower() for either in _FILTER_COMMENT.findall(header)]
+    return "mip" if values and values[-1] in ("mip", "1") else "classic"
 
 
 def _parse_header(path: Path, header: str) -> tuple[str, list[tuple[str, int, list]]]:

@@ -60,17 +60,17 @@ def palette(rows: np.ndarray, most: int, seed: int = 0) -> tuple[np.ndarray, np.
     random = np.random.default_rng(seed)
     coarse = _clustered(_some(rows, _LEARNED_FROM, random), math.isqrt(most), _COARSE_ROUNDS, random)[0]
     owners = np.concatenate([vq(rows[i : i + _BLOCK], coarse)[0] for i in range(0, len(rows), _BLOCK)])
-    chosen, labels, taken = [], np.empty(len(rows), np.int64), 0
+    centers, labels, count = [], np.empty(len(rows), np.int64), 0
     for index in tqdm(range(len(coarse)), desc="palette", unit="cluster", delay=_QUIET):
         members = np.flatnonzero(owners == index)
         if not len(members):
             continue
         room = 1 + (most - len(coarse)) * len(members) // len(rows)
         own, inner = _clustered(rows[members], room, _FINE_ROUNDS, random)
-        chosen.append(own)
-        labels[members] = taken + inner
-        taken += len(own)
-    return np.concatenate(chosen), labels
+        centers.append(own)
+        labels[members] = count + inner
+        count += len(own)
+    return np.concatenate(centers), labels
 
 
 def _clustered(rows: np.ndarray, count: int, rounds: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

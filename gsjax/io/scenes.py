@@ -71,20 +71,20 @@ def load_scene(
     if folder_masks not in MASK_USES:
         raise InputError(f"folder_masks must be one of {', '.join(MASK_USES)}, not {folder_masks!r}")
     capture = _read_capture(root)
-    taken = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
-    taken = _with_folder_masks(_selected(taken, photos), root / "masks" if masks is None else masks)
-    taken = with_image_circles(readable_photos(taken))
+    selection = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
+    selection = _with_folder_masks(_selected(selection, photos), root / "masks" if masks is None else masks)
+    selection = with_image_circles(readable_photos(selection))
     place = read_place(root) if place is None else place
-    taken = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in taken]
+    selection = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in selection]
     capture = replace(capture, points=place.points_to_world(capture.points))
     if similarity is None:
-        similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in taken]), capture.points)
+        similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in selection]), capture.points)
     if not similarity.is_possible:
         raise InputError(f"{root}: its cameras stand too far off, or together, for float64 ({similarity.summary})")
-    taken = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in taken]
+    selection = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in selection]
     points = similarity.points_to_local(capture.points)
-    frames_by_photo, faults = read_usable(taken, _name, lambda photo: frames_of(photo, downscale, folder_masks))
-    leave_out("photos", faults, len(taken))
+    frames_by_photo, faults = read_usable(selection, _name, lambda photo: frames_of(photo, downscale, folder_masks))
+    leave_out("photos", faults, len(selection))
     frames = tuple(sorted((frame for each in frames_by_photo for frame in each), key=lambda frame: frame.name))
     truth = load_truth(root, frames, similarity, place)
     return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks, similarity, place)
@@ -138,10 +138,12 @@ def _without_repeated(photos: Sequence[Photo]) -> list[Photo]:
     by_name = {name: list(same) for name, same in groupby(photos, key=_name)}
     repeated = {name: same for name, same in by_name.items() if len(same) > 1}
     differ = {name for name, (first, *more) in repeated.items() if not all(_is_same(first, other) for other in more)}
-    told = {name: f"{same[0].path}: is listed more than once" for name, same in repeated.items()}
-    alike = [Fault(name, told[name]) for name, same in repeated.items() if name not in differ for _ in same[1:]]
+    messages = {name: f"{same[0].path}: is listed more than once" for name, same in repeated.items()}
+    alike = [Fault(name, messages[name]) for name, same in repeated.items() if name not in differ for _ in same[1:]]
     leave_out("listed photos", alike, len(photos), needed=0)
-    leave_out("photos", [Fault(name, f"{told[name]}, with several cameras") for name in sorted(differ)], len(by_name))
+    leave_out(
+        "photos", [Fault(name, f"{messages[name]}, with several cameras") for name in sorted(differ)], len(by_name)
+    )
     return [same[0] for name, same in by_name.items() if name not in differ]
 
 
@@ -168,7 +170,7 @@ def _with_folder_masks(photos: list[Photo], folder: Path) -> list[Photo]:
     if not folder.is_dir():
         return photos
     masks = masks_in(folder, [photo.name for photo in photos])
-    found = [replace(photo, mask_path=masks.get(photo.name, photo.mask_path)) for photo in photos]
-    if all(photo.mask_path is None for photo in found):
+    with_masks = [replace(photo, mask_path=masks.get(photo.name, photo.mask_path)) for photo in photos]
+    if all(photo.mask_path is None for photo in with_masks):
         raise InputError(f"{folder}: no mask in it has the name of an image, for example {photos[0].name}.png")
-    return found
+    return with_masks

@@ -54,8 +54,8 @@ def _with_copies(names: set[str], shots: Sequence[Sequence[str]], root: Path) ->
     """The stated names and those of other files of the same shots."""
     held_out = {name for shot in shots if not names.isdisjoint(shot) for name in shot}
     if copies := sorted(held_out - names):
-        told = "held out as well, as they show the same shots as held-out photos"
-        print_once(f"{root}: {told}: {first_names(copies)}")
+        reason = "held out as well, as they show the same shots as held-out photos"
+        print_once(f"{root}: {reason}: {first_names(copies)}")
     return held_out
 
 
@@ -92,13 +92,13 @@ def listed(file: Path, names: Sequence[str], *, absent: str = "", empty: str = "
         lines = read_bytes(file).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"{file}: cannot be read as a list of photos ({error})") from error
-    known = set(names)  # A name may begin with what else is a comment, or end in a space.
-    named = [line if line in known else line.strip() for line in lines]
-    wanted = {n: name for n, name in enumerate(named, 1) if name in known or (name and not name.startswith("#"))}
-    if not wanted:
+    photo_names = set(names)  # A name may begin with what else is a comment, or end in a space.
+    named = [line if line in photo_names else line.strip() for line in lines]
+    by_line = {n: name for n, name in enumerate(named, 1) if name in photo_names or (name and not name.startswith("#"))}
+    if not by_line:
         raise InputError(f"{file}: names no photo{empty}")
-    for number, name in wanted.items():
-        if name not in known:
+    for number, name in by_line.items():
+        if name not in photo_names:
             (nearest,) = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
             raise InputError(f"{file}, line {number}: there is no photo {name}; the nearest name is {nearest}")
-    return set(wanted.values())
+    return set(by_line.values())

@@ -55,8 +55,8 @@ def viewmat_of(file: Path, entry: dict[str, Any]) -> np.ndarray:
     left, stretch, right = np.linalg.svd(camera_to_world[:3, :3])
     is_even = stretch.max() - stretch.min() <= 2 * _UNEVEN * stretch.mean() > 0
     if not is_even or not is_float32(camera_to_world).all() or np.linalg.det(left @ right) < 0:
-        shown = ", ".join(f"{value:.4g}" for value in stretch)
-        raise InputError(f"{where} is not a rotation and a translation (it mirrors, or stretches by {shown})")
+        factors = ", ".join(f"{value:.4g}" for value in stretch)
+        raise InputError(f"{where} is not a rotation and a translation (it mirrors, or stretches by {factors})")
     camera_to_world[:3, :3] = left @ right
     return np.linalg.inv(camera_to_world @ _OPENGL_TO_OPENCV)
 
@@ -79,19 +79,19 @@ def lens_of(file: Path, entry: dict[str, Any], path: Path) -> Lens:
     if model == "EQUIRECTANGULAR":
         return check_lens(Lens(model, width, height, (float(width), float(height))), where)
     if model not in _MODELS:
-        shown = repr(name) if isinstance(name, str) else "that is no text"
-        raise InputError(f"{file}: unknown camera_model {shown}; known are {', '.join(_MODELS)}, EQUIRECTANGULAR")
+        text = repr(name) if isinstance(name, str) else "that is no text"
+        raise InputError(f"{file}: unknown camera_model {text}; known are {', '.join(_MODELS)}, EQUIRECTANGULAR")
     colmap, coefficients = _MODELS[model]
-    given = {key: value for key in _COEFFICIENTS if (value := _number(where, entry, key))}
-    foreign = sorted(set(given) - set(coefficients))
+    values = {key: value for key in _COEFFICIENTS if (value := _number(where, entry, key))}
+    foreign = sorted(set(values) - set(coefficients))
     if foreign:
         raise InputError(f"{file}: camera_model {model} takes no {', '.join(foreign)} ({entry['file_path']})")
-    if not given and colmap == "FULL_OPENCV":
+    if not values and colmap == "FULL_OPENCV":
         colmap, coefficients = "PINHOLE", ()
     cx, cy = _number(where, entry, "cx"), _number(where, entry, "cy")
     center = (width / 2 if cx is None else cx, height / 2 if cy is None else cy)
     focals = _focal_lengths(where, entry, width, height)
-    params = (*focals, *center, *(given.get(key, 0.0) for key in coefficients))
+    params = (*focals, *center, *(values.get(key, 0.0) for key in coefficients))
     return check_lens(Lens(colmap, width, height, params), where)
 
 
@@ -147,6 +147,6 @@ def _number(where: str, entry: dict[str, Any], key: str) -> float | None:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not is_float32(np.array(number)):
-        shown = reprlib.repr(value) if isinstance(value, str | int | float) else f"a {type(value).__name__}"
-        raise InputError(f"{where} has {key} {shown}, which is no number to compute with")
+        text = reprlib.repr(value) if isinstance(value, str | int | float) else f"a {type(value).__name__}"
+        raise InputError(f"{where} has {key} {text}, which is no number to compute with")
     return number

@@ -85,11 +85,11 @@ def _listed(file: Path, meta: dict[str, Any], key: str, names: Sequence[str]) ->
         return set()
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise InputError(f"{file}: {key} is no list of names")
-    wanted = {_normal(name): name for name in value}
-    unknown = [wanted[name] for name in sorted(wanted.keys() - set(names))]
+    listed_names = {_normal(name): name for name in value}
+    unknown = [listed_names[name] for name in sorted(listed_names.keys() - set(names))]
     if unknown:
         raise InputError(f"{file}: {key} lists {unknown[0]}, which is the file_path of no frame")
-    return set(wanted)
+    return set(listed_names)
 
 
 def _normal(name: str) -> str:

@@ -82,18 +82,18 @@ def charts(mesh: Mesh, size: int) -> Atlas:
         raise NotUnfoldedError("no triangle has an area")
     # xatlas compares areas with absolute bounds: the mean triangle gets area 1.
     scaled = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(areas[solid].mean())
-    found = _unfolded(scaled.astype(np.float32), mesh.faces[solid], size)
-    extent = np.array([found["width"], found["height"]], np.float64)
+    arrays = _unfolded(scaled.astype(np.float32), mesh.faces[solid], size)
+    extent = np.array([arrays["width"], arrays["height"]], np.float64)
     if PADDING * size / extent.max() < LEAST_PADDING:
         raise NotUnfoldedError(f"{size} px are too few for charts that take {extent.max():.0f}")
     faces = np.zeros((mesh.num_faces, 3), np.int32)
-    faces[solid] = found["faces"]
+    faces[solid] = arrays["faces"]
     laid_out = Atlas(
-        uvs=(found["uvs"] * (extent / extent.max())).astype(np.float32),
-        vertices=found["vertices"].astype(np.int32),
+        uvs=(arrays["uvs"] * (extent / extent.max())).astype(np.float32),
+        vertices=arrays["vertices"].astype(np.int32),
         faces=faces,
         size=size,
-        num_charts=int(found["charts"]),
+        num_charts=int(arrays["charts"]),
     )
     return _flat_faces_at_a_corner(laid_out, mesh)
 
@@ -151,8 +151,8 @@ def _unfolded(vertices: np.ndarray, faces: np.ndarray, size: int) -> dict[str, n
             raise NotUnfoldedError(f"xatlas took longer than {MOST_SECONDS:.0f} s") from error
         if done.returncode or not target.exists():
             raise NotUnfoldedError(f"xatlas ended with code {done.returncode}: {done.stderr.strip()[-200:]}")
-        with np.load(target) as found:
-            return dict(found)
+        with np.load(target) as arrays:
+            return dict(arrays)
 
 
 def _flat_faces_at_a_corner(atlas: Atlas, mesh: Mesh) -> Atlas:

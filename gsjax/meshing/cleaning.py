@@ -41,8 +41,8 @@ def clean(
     """
     merged, degenerate, duplicate = _distinct_faces(_merge_vertices(mesh))
     manifold = _manifold(merged)
-    kept, small, small_faces = _large_components(manifold, min_component_share)
-    decimated = _decimate(kept, max_faces)
+    large_parts, small, small_faces = _large_components(manifold, min_component_share)
+    decimated = _decimate(large_parts, max_faces)
     result = _without_unused_vertices(decimated)
     if not result.num_faces:
         raise NoSurfaceError(f"no mesh: nothing of {mesh.num_faces} triangles is left after cleaning")
@@ -53,7 +53,7 @@ def clean(
         non_manifold_faces=merged.num_faces - manifold.num_faces,
         small_components=small,
         small_component_faces=small_faces,
-        decimated_faces=kept.num_faces - decimated.num_faces,
+        decimated_faces=large_parts.num_faces - decimated.num_faces,
     )
 
 
@@ -100,8 +100,8 @@ def _manifold(mesh: Mesh) -> Mesh:
     by_area = np.argsort(-areas, axis=None, kind="stable")
     largest = np.zeros(keys.size, bool)
     largest[by_area[np.unique(keys.ravel()[by_area], return_index=True)[1]]] = True
-    kept = np.all(largest.reshape(-1, 3) | ~crowded, axis=1)
-    return Mesh(mesh.vertices, mesh.faces[kept], mesh.colors)
+    is_kept = np.all(largest.reshape(-1, 3) | ~crowded, axis=1)
+    return Mesh(mesh.vertices, mesh.faces[is_kept], mesh.colors)
 
 
 def _large_components(mesh: Mesh, min_share: float) -> tuple[Mesh, int, int]:

@@ -100,7 +100,7 @@ def _agreed(view: CoarseDepth, others: Sequence[CoarseDepth]) -> np.ndarray:
     """`[H, W]` bool: where enough of the others show a surface at the place that the view shows."""
     rows, columns = np.nonzero(view.depth)
     points, rays = level_set.world_points(view.camera, view.depth, rows, columns)
-    agreeing, looking = np.zeros((2, len(points)), np.int32)
+    agreeing, observers = np.zeros((2, len(points)), np.int32)
     for other in others:
         depths, there = depths_at(points, other)
         towards = points - viewmat_center(np.asarray(other.camera.viewmat, np.float64))
@@ -108,26 +108,26 @@ def _agreed(view: CoarseDepth, others: Sequence[CoarseDepth]) -> np.ndarray:
         # From a view to which something nearer hides the place it may be there or not.
         same = max(SAME_SURFACE, PIXELS / float(other.camera.K[0, 0]))
         looks = (there > depths * (1 - same)) & (cosine < FROM_ELSEWHERE)
-        looking += looks
+        observers += looks
         agreeing += looks & (there < depths * (1 + same))
     agreed = np.zeros(view.depth.shape, bool)
-    agreed[rows, columns] = agreeing >= np.maximum(min(AGREEING, len(others)), SHARE * looking)
+    agreed[rows, columns] = agreeing >= np.maximum(min(AGREEING, len(others)), SHARE * observers)
     return agreed
 
 
 def _others(views: Sequence[CoarseDepth]) -> list[list[int]]:
     """Of every view the indices of those that observe most of what it shows, most first."""
     rng = np.random.default_rng(0)
-    found = []
+    neighbors = []
     for index, view in enumerate(views):
         rows, columns = np.nonzero(view.depth)
-        drawn = rng.permutation(len(rows))[:SAMPLED]
-        points, _ = level_set.world_points(view.camera, view.depth, rows[drawn], columns[drawn])
+        sample = rng.permutation(len(rows))[:SAMPLED]
+        points, _ = level_set.world_points(view.camera, view.depth, rows[sample], columns[sample])
         common = np.array([(depths_at(points, other)[1] > 0).sum() for other in views], int)
         common[index] = 0
         best = np.argsort(-common, kind="stable")[:MOST_OTHERS]
-        found.append([int(other) for other in best if common[other] > 0])
-    return found
+        neighbors.append([int(other) for other in best if common[other] > 0])
+    return neighbors
 
 
 def _enlarged(values: np.ndarray, camera: Camera) -> np.ndarray:

@@ -66,11 +66,11 @@ def write_mesh(path: str | Path, mesh: Mesh, place: Place = UNPLACED) -> None:
         InputError: Unknown suffix, or the file cannot be written.
     """
     path = Path(path)
-    written = FORMATS[supported_suffix(path)]
-    assert written.encode is not None
+    mesh_format = FORMATS[supported_suffix(path)]
+    assert mesh_format.encode is not None
     with atomic_path(path) as temporary:
-        temporary.write_bytes(written.encode(mesh, place))
-    if not written.states_place:
+        temporary.write_bytes(mesh_format.encode(mesh, place))
+    if not mesh_format.states_place:
         state_beside(path, place)
 
 
@@ -86,13 +86,13 @@ def write_textured(path: str | Path, textured: TexturedMesh, place: Place = UNPL
         InputError: Another suffix, or a file cannot be written.
     """
     path = Path(path)
-    written = FORMATS[textured_suffix(path)]
-    if written.encode_textured is None:
+    mesh_format = FORMATS[textured_suffix(path)]
+    if mesh_format.encode_textured is None:
         obj.write_textured_obj(path, textured)
     else:
         with atomic_path(path) as temporary:
-            temporary.write_bytes(written.encode_textured(textured, place))
-    if not written.states_place:
+            temporary.write_bytes(mesh_format.encode_textured(textured, place))
+    if not mesh_format.states_place:
         state_beside(path, place)
 
 

@@ -67,11 +67,11 @@ def extract_mesh(
     if pictures is None:
         pictures = gallery.pictures(without_view_dependence(gaussians), cameras, np.zeros(3), with_owners=True)
     method = level_set_poisson() if method is None else method
-    seen = method(gaussians, cameras, pictures)
+    samples = method(gaussians, cameras, pictures)
     parts, reports, faults = [], {}, []
-    for name, region in regions(seen.points).items():
+    for name, region in regions(samples.points).items():
         try:
-            part, reports[name] = _part(seen, region, min_component_share, max_faces, similarity)
+            part, reports[name] = _part(samples, region, min_component_share, max_faces, similarity)
             parts.append(part)
         except InputError as fault:
             reports[name] = {"box": region.corners(similarity), "empty": str(fault)}
@@ -81,7 +81,7 @@ def extract_mesh(
     mesh, facing = orient_outward(concatenate_meshes(parts), cameras)
     report = {
         "method": method_name(method),
-        "seen": seen.report,
+        "seen": samples.report,
         **reports,
         "topology": asdict(topology(mesh)),
         "facing_share": facing,
@@ -90,20 +90,20 @@ def extract_mesh(
 
 
 def _part(
-    seen: SurfaceSamples, region: Region, min_component_share: float, max_faces: int | None, similarity: Similarity
+    samples: SurfaceSamples, region: Region, min_component_share: float, max_faces: int | None, similarity: Similarity
 ) -> tuple[Mesh, dict]:
     """The clean mesh of one region; NoSurfaceError where there is none."""
-    count = int(region.contains(seen.points).sum())
+    count = int(region.contains(samples.points).sum())
     if not count:
         low, high = region.corners(similarity)
-        first, last = (_rounded(similarity.points_to_world(end(seen.points, axis=0))) for end in (np.min, np.max))
+        first, last = (_rounded(similarity.points_to_world(end(samples.points, axis=0))) for end in (np.min, np.max))
         raise NoSurfaceError(
-            f"no mesh: the box {low} to {high} holds none of {len(seen.points)} surface points, "
+            f"no mesh: the box {low} to {high} holds none of {len(samples.points)} surface points, "
             f"which span {first} to {last}"
         )
-    rough, chosen = seen.build(region)
+    rough, build_report = samples.build(region)
     mesh, cleaning = clean(cut_to_region(rough, region), min_component_share=min_component_share, max_faces=max_faces)
-    return mesh, {"box": region.corners(similarity), "points_seen": count, **chosen, "cleaning": asdict(cleaning)}
+    return mesh, {"box": region.corners(similarity), "points_seen": count, **build_report, "cleaning": asdict(cleaning)}
 
 
 def _rounded(point: np.ndarray) -> list[float]:
@@ -113,8 +113,8 @@ def _rounded(point: np.ndarray) -> list[float]:
 def cut_to_region(mesh: Mesh, region: Region) -> Mesh:
     """The triangles with a corner in the region, so that parts overlap by a triangle and leave no crack."""
     corners = mesh.vertices[mesh.faces]
-    kept = region.contains(corners.reshape(-1, 3)).reshape(-1, 3).any(axis=1)
-    return Mesh(mesh.vertices, mesh.faces[kept], mesh.colors)
+    is_inside = region.contains(corners.reshape(-1, 3)).reshape(-1, 3).any(axis=1)
+    return Mesh(mesh.vertices, mesh.faces[is_inside], mesh.colors)
 
 
 def facing_share(mesh: Mesh, cameras: Sequence[Camera]) -> float:
@@ -123,15 +123,15 @@ def facing_share(mesh: Mesh, cameras: Sequence[Camera]) -> float:
     A sound mesh has 0.99 and more; what is missing looks through a hole at an inner side.
     """
     cast, normals = ray_caster(mesh), face_normals(mesh)
-    chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MOST_VIEWS, len(cameras))).astype(int))
+    indices = np.unique(np.linspace(0, len(cameras) - 1, min(MOST_VIEWS, len(cameras))).astype(int))
     faces_cameras = []
-    for index in chosen:
+    for index in indices:
         origin, directions = _rays(cameras[index])
         hits = cast(origin, directions)
         hit = np.isfinite(hits.distances)
         faces_cameras.append(np.sum(normals[hits.faces[hit]] * directions[hit], axis=1) < 0)
-    found = np.concatenate(faces_cameras)
-    return float(found.mean()) if len(found) else 1.0
+    is_facing = np.concatenate(faces_cameras)
+    return float(is_facing.mean()) if len(is_facing) else 1.0
 
 
 def orient_outward(mesh: Mesh, cameras: Sequence[Camera]) -> tuple[Mesh, float]:

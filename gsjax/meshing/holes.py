@@ -41,8 +41,8 @@ def fill_holes(mesh: Mesh, views: Sequence[CoarseDepth]) -> tuple[Mesh, HoleRepo
     if not len(patches):
         return mesh, HoleReport(0, 0, 0)
     labels, sizes = face_components(patches, edge_table(patches))
-    kept = _are_seen(mesh, patches, labels, len(sizes), views)[labels]
-    patches, labels = patches[kept], labels[kept]
+    is_seen = _are_seen(mesh, patches, labels, len(sizes), views)[labels]
+    patches, labels = patches[is_seen], labels[is_seen]
     added = _oriented_like(mesh.faces, patches, labels, len(sizes))
     fits = ~np.isin(labels, labels[_conflicts(mesh.faces, added)])
     added, labels = added[fits], labels[fits]
@@ -77,9 +77,9 @@ def _are_seen(
     points = np.einsum("pk,pkd->pd", weights, mesh.vertices.astype(np.float64)[faces])
     supporting, through = np.zeros((2, len(points)), np.int32)
     for view in views:
-        depths, shown = depths_at(points, view)
-        supporting += (shown > 0) & (np.abs(depths - shown) <= SAME_SURFACE * shown)
-        through += (shown > 0) & (depths < (1 - SAME_SURFACE) * shown)
+        depths, surface_depths = depths_at(points, view)
+        supporting += (surface_depths > 0) & (np.abs(depths - surface_depths) <= SAME_SURFACE * surface_depths)
+        through += (surface_depths > 0) & (depths < (1 - SAME_SURFACE) * surface_depths)
     backed = (supporting >= SUPPORTING) & (supporting >= through)
     return backed.reshape(count, PER_PATCH).mean(axis=1) > 0.5
 

@@ -119,32 +119,32 @@ def surface_points(
     options = options_for(cameras) if options is None else options
     rng = np.random.default_rng(seed)
     ids = opaque_ids(gaussians)
-    wanted = options.num_points // max(len(cameras), 1) + 1
-    place = np.full(gaussians.num_gaussians + 1, -1, np.int32)  # Of each Gaussian among the kept ones; -1 stays -1.
+    per_view = options.num_points // max(len(cameras), 1) + 1
+    place = np.full(gaussians.num_gaussians + 1, -1, np.int32)  # Of each Gaussian among the opaque ones; -1 stays -1.
     place[ids] = np.arange(len(ids))
-    rays = _draw_rays(cameras, pictures, place, round(OVERSAMPLING * wanted), rng)
+    rays = _draw_rays(cameras, pictures, place, round(OVERSAMPLING * per_view), rng)
 
-    kept = gs.take(gaussians, ids)
-    points, normals, crossed = _march(kept, rays, options.level)
+    opaque = gs.take(gaussians, ids)
+    points, normals, crossed = _march(opaque, rays, options.level)
     ids = np.flatnonzero(crossed)
     if not len(ids):
         raise NoSurfaceError(
             f"the level set is empty: none of {len(crossed)} rays crosses density {options.level} "
-            f"({kept.num_gaussians} of {gaussians.num_gaussians} Gaussians kept); train longer or lower the level"
+            f"({opaque.num_gaussians} of {gaussians.num_gaussians} Gaussians kept); train longer or lower the level"
         )
     # Density grows inwards, so that its gradient is turned about; and a surface that a camera sees faces that camera.
     away = np.sum(normals * rays.directions, axis=-1) > 0
     normals[away] *= -1
-    chosen = np.sort(rng.choice(ids, min(options.num_points, len(ids)), replace=False))
+    sample = np.sort(rng.choice(ids, min(options.num_points, len(ids)), replace=False))
     return SurfacePoints(
-        points=points[chosen],
-        normals=normals[chosen],
-        colors=rays.colors[chosen],
-        view_ids=rays.view_ids[chosen],
+        points=points[sample],
+        normals=normals[sample],
+        colors=rays.colors[sample],
+        view_ids=rays.view_ids[sample],
         rays=len(crossed),
         crossings=len(ids),
         flipped=int(away[ids].sum()),
-        kernels=kept.num_gaussians,
+        kernels=opaque.num_gaussians,
     )
 
 
@@ -157,10 +157,10 @@ def opaque_ids(gaussians: Gaussians) -> np.ndarray:
     parameters = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities[:, None])
     finite = np.all([np.isfinite(np.asarray(values)).all(axis=1) for values in parameters], axis=0)
     opaque = finite & (np.asarray(gs.opacities(gaussians)) > MIN_OPACITY)
-    kept = np.flatnonzero(opaque if opaque.sum() >= NEIGHBORS else finite)
-    if not len(kept):
+    ids = np.flatnonzero(opaque if opaque.sum() >= NEIGHBORS else finite)
+    if not len(ids):
         raise NoSurfaceError(f"no surface to extract: none of {gaussians.num_gaussians} Gaussians is usable")
-    return kept
+    return ids
 
 
 def world_points(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple:
@@ -211,29 +211,29 @@ def _rays_of_view(
         raise InputError(f"view {index}: its picture does not say which Gaussian each pixel hit; {hint}")
     depth, owners = np.asarray(picture.depth), place[picture.owners]
     rows, columns = np.nonzero(shows_surface(picture) & (owners >= 0))
-    drawn = rng.permutation(len(rows))[:count]
-    rows, columns = rows[drawn], columns[drawn]
+    sample = rng.permutation(len(rows))[:count]
+    rows, columns = rows[sample], columns[sample]
     hits, directions = world_points(camera, depth, rows, columns)
     colors = to_bytes(np.asarray(picture.colors)[rows, columns])
     views = np.full(len(rows), index, np.int32)
     return hits.astype(np.float32), directions.astype(np.float32), colors, views, owners[rows, columns]
 
 
-def _march(kept: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, ...]:
+def _march(gaussians: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, ...]:
     """Points, outward normals and whether there is a crossing, of every ray, chunk by chunk."""
-    nearby = Neighborhood(kept, NEIGHBORS)
+    nearby = Neighborhood(gaussians, NEIGHBORS)
     how = {"level": level, "samples": SAMPLES, "sigma_range": SIGMA_RANGE}
-    march = partial(march_rays, density_field.kernels(kept), **how)
+    march = partial(march_rays, density_field.kernels(gaussians), **how)
     total = len(rays.hits)
-    found = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32), np.empty(total, bool)
+    crossings = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32), np.empty(total, bool)
     for start in tqdm(range(0, total, CHUNK), desc="level set", unit="chunk", delay=QUIET):
         # The last chunk is padded with repetitions, so that all have one length and one compilation.
         ids = np.minimum(np.arange(start, start + CHUNK), total - 1)
         around = nearby.of(rays.hits[ids], rays.owners[ids])
         part = jax.device_get(march(rays.hits[ids], rays.directions[ids], around))
-        for whole, values in zip(found, part, strict=True):
+        for whole, values in zip(crossings, part, strict=True):
             whole[start : start + CHUNK] = values[: total - start]
-    return found
+    return crossings
 
 
 def level_set_poisson(

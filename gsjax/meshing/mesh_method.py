@@ -44,8 +44,8 @@ def method_name(method: Method) -> str:
 def typical_scale(gaussians: Gaussians, region: Region) -> float:
     """Median of the largest standard deviations of the opaque Gaussians in a region (of all, where there is none)."""
     largest = np.asarray(gs.scales(gaussians)).max(axis=1)
-    chosen = (np.asarray(gaussians.logit_opacities) > 0) & region.contains(np.asarray(gaussians.means))
-    return float(np.median(largest[chosen] if chosen.any() else largest))
+    usable = (np.asarray(gaussians.logit_opacities) > 0) & region.contains(np.asarray(gaussians.means))
+    return float(np.median(largest[usable] if usable.any() else largest))
 
 
 def poisson_through(
@@ -58,9 +58,11 @@ def poisson_through(
     """A method's `build` from points, outward normals and colours, each `[P, 3]`."""
 
     def build(region: Region) -> tuple[Mesh, dict]:
-        chosen = region.grown(RIM * (region.without or region.box).longest).contains(points)
+        is_near = region.grown(RIM * (region.without or region.box).longest).contains(points)
         cell = CELL_PER_SCALE * typical_scale(gaussians, region)
-        mesh, report = poisson.reconstruct(points[chosen], normals[chosen], colors[chosen], options, smallest_cell=cell)
+        mesh, report = poisson.reconstruct(
+            points[is_near], normals[is_near], colors[is_near], options, smallest_cell=cell
+        )
         return mesh, asdict(report)
 
     return build

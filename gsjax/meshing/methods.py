@@ -182,18 +182,20 @@ def methods_of(method: str | Method, options: MethodOptions) -> dict[str, MeshMe
     from gsjax.meshing.mesh_method import method_name
 
     if callable(method):
-        chosen = {method_name(method): MeshMethod("handed in", lambda *_: method, needs=frozenset({"owners"}))}
+        candidates = {method_name(method): MeshMethod("handed in", lambda *_: method, needs=frozenset({"owners"}))}
     elif method == AUTO:
-        chosen = METHODS
+        candidates = METHODS
     elif method in METHODS:
-        chosen = {method: METHODS[method]}
+        candidates = {method: METHODS[method]}
     else:
         raise InputError(f"--method {method} is none of {', '.join((AUTO, *METHODS))}")
-    unread = options.set_names.difference(*(each.options for each in chosen.values()))
+    unread = options.set_names.difference(*(each.options for each in candidates.values()))
     for name in sorted(unread):
         readers = ", ".join(each for each in METHODS if name in METHODS[each].options)
-        raise InputError(f"{_flag(name)} is an option of the method {readers}; {' and '.join(chosen)} does not read it")
-    return chosen
+        raise InputError(
+            f"{_flag(name)} is an option of the method {readers}; {' and '.join(candidates)} does not read it"
+        )
+    return candidates
 
 
 def methods_help() -> str:

@@ -40,7 +40,7 @@ def _with_large(gaussians: Gaussians, tree: KDTree, table: np.ndarray, large: in
     """
     deviations = np.asarray(gs.scales(gaussians)).max(axis=1)
     octaves = np.floor(np.log2(np.maximum(deviations, SMALLEST)))
-    chosen = np.empty((len(table), large), np.int32)
+    neighbors = np.empty((len(table), large), np.int32)
     sizes = [np.flatnonzero(octaves == octave) for octave in np.unique(octaves)]
     trees = [(members, KDTree(tree.data[members]), REACH * deviations[members].max()) for members in sizes]
     whitening = _whitening(gaussians)
@@ -51,20 +51,22 @@ def _with_large(gaussians: Gaussians, tree: KDTree, table: np.ndarray, large: in
 
     for start in range(0, len(table), ROWS_CHUNK):
         part = slice(start, start + ROWS_CHUNK)
-        centers, known = tree.data[part], table[part]
-        ids = known[:, -large:]
+        centers, nearest = tree.data[part], table[part]
+        ids = nearest[:, -large:]
         apart = distances(centers, ids)
         for members, of_size, reach in trees:
-            found = np.asarray(of_size.query(centers, CANDIDATES * large, distance_upper_bound=reach, workers=-1)[1])
-            found = found.reshape(len(centers), -1)
-            new = members[np.minimum(found, len(members) - 1)]
+            positions = np.asarray(
+                of_size.query(centers, CANDIDATES * large, distance_upper_bound=reach, workers=-1)[1]
+            )
+            positions = positions.reshape(len(centers), -1)
+            new = members[np.minimum(positions, len(members) - 1)]
             off = distances(centers, new)
-            is_new = (found < len(members)) & (off < REACH) & ~(new[:, :, None] == known[:, None, :]).any(-1)
+            is_new = (positions < len(members)) & (off < REACH) & ~(new[:, :, None] == nearest[:, None, :]).any(-1)
             ids, apart = np.c_[ids, new], np.c_[apart, np.where(is_new, off, np.inf)]
             best = np.argsort(apart, axis=1, kind="stable")[:, :large]
             ids, apart = np.take_along_axis(ids, best, 1), np.take_along_axis(apart, best, 1)
-        chosen[part] = ids
-    return chosen
+        neighbors[part] = ids
+    return neighbors
 
 
 def _whitening(gaussians: Gaussians) -> np.ndarray:

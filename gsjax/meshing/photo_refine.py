@@ -49,14 +49,14 @@ def refine_on_photos(mesh: Mesh, frames: Sequence[Frame]) -> tuple[Mesh, dict[st
     Raises:
         InputError: A photo cannot be read, or Open3D not be loaded.
     """
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_VIEWS, len(frames))).astype(int))
-    frames = [frames[index] for index in chosen]
+    indices = np.unique(np.linspace(0, len(frames) - 1, min(MOST_VIEWS, len(frames))).astype(int))
+    frames = [frames[index] for index in indices]
     differences = _laplacian(mesh)
     with tqdm(total=(ROUNDS + 2) * len(frames), desc="refine on photos", unit="view", delay=3.0) as bar:
         survey = _survey(mesh, frames, np.zeros((1, mesh.num_vertices)), None, bar)
-        seen, before, moved = survey.views >= LEAST_VIEWS, survey.variance[0], np.zeros(mesh.num_vertices)
+        is_seen, before, moved = survey.views >= LEAST_VIEWS, survey.variance[0], np.zeros(mesh.num_vertices)
         moved_mesh, reach = mesh, REACH
-        for _ in range(ROUNDS if seen.any() else 0):
+        for _ in range(ROUNDS if is_seen.any() else 0):
             steps = STEP * np.arange(-reach, reach + 1)
             survey = _survey(moved_mesh, frames, steps[:, None] * survey.pixel, survey.mean, bar)
             way = _agreed(survey, steps, differences)
@@ -65,10 +65,10 @@ def refine_on_photos(mesh: Mesh, frames: Sequence[Frame]) -> tuple[Mesh, dict[st
             moved, reach = moved + way, max(reach // 2, 3)
         after = _survey(moved_mesh, frames, np.zeros((1, mesh.num_vertices)), survey.mean, bar).variance[0]
     return moved_mesh, {
-        "seen_share": float(seen.mean()),
-        "moved_px": _root_mean_square(moved[seen]),
-        "before": 255 * _root_mean_square(np.sqrt(before[seen])),
-        "after": 255 * _root_mean_square(np.sqrt(after[seen])),
+        "seen_share": float(is_seen.mean()),
+        "moved_px": _root_mean_square(moved[is_seen]),
+        "before": 255 * _root_mean_square(np.sqrt(before[is_seen])),
+        "after": 255 * _root_mean_square(np.sqrt(after[is_seen])),
     }
 
 

@@ -116,8 +116,8 @@ def smooth_pictures(
     for camera in cameras:
         sums = np.zeros((camera.height * camera.width, 5), np.float32)
         for hits, pixels in rays_in_bands(mesh, cast, camera, side):
-            shown = np.column_stack([shading(hits), hits.depths, np.ones(len(pixels))])
-            sums += np.stack([np.bincount(pixels, column, len(sums)) for column in shown.T], axis=1)
+            samples = np.column_stack([shading(hits), hits.depths, np.ones(len(pixels))])
+            sums += np.stack([np.bincount(pixels, column, len(sums)) for column in samples.T], axis=1)
         sums = sums.reshape(camera.height, camera.width, 5)
         hit = sums[..., 4]
         yield Picture(

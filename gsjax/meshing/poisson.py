@@ -95,10 +95,10 @@ def reconstruct(
     """
     options = PoissonOptions() if options is None else options
     cloud = _without_outliers(_as_cloud(points, normals, colors))
-    kept = np.asarray(cloud.points)
-    if len(kept) < MIN_POINTS:
-        raise NoSurfaceError(f"no mesh: {len(kept)} surface points, Poisson reconstruction needs {MIN_POINTS}")
-    gap, extent = spacing(kept), float(np.ptp(kept, axis=0).max())
+    inliers = np.asarray(cloud.points)
+    if len(inliers) < MIN_POINTS:
+        raise NoSurfaceError(f"no mesh: {len(inliers)} surface points, Poisson reconstruction needs {MIN_POINTS}")
+    gap, extent = spacing(inliers), float(np.ptp(inliers, axis=0).max())
     if options.depth is None:
         depth, scale = octree_for_cell(extent, max(2 * gap, smallest_cell), SCALE)
     else:
@@ -107,18 +107,18 @@ def reconstruct(
     far = max(TRIM_SPACINGS * gap, TRIM_CELLS * cell)
 
     surface, densities = _poisson(cloud, depth, scale)
-    distances = np.asarray(KDTree(kept).query(np.asarray(surface.vertices), workers=-1)[0])
+    distances = np.asarray(KDTree(inliers).query(np.asarray(surface.vertices), workers=-1)[0])
     edges = edge_table(np.asarray(surface.triangles)).pairs
     cut = (options.trim or adaptive)(Support(distances, densities, edges, near=far / 2, far=far))
     surface.remove_vertices_by_mask(cut.vertices)
     if not len(surface.triangles):
-        raise NoSurfaceError(f"no mesh: no Poisson vertex is supported by the {len(kept)} points (within {far:.4g})")
+        raise NoSurfaceError(f"no mesh: no Poisson vertex is supported by the {len(inliers)} points (within {far:.4g})")
     mesh = Mesh(
         vertices=np.asarray(surface.vertices, np.float32),
         faces=np.asarray(surface.triangles, np.int32),
         colors=np.clip(np.round(np.asarray(surface.vertex_colors) * 255), 0, 255).astype(np.uint8),
     )
-    return mesh, PoissonReport(len(kept), depth, cell, cut.quantile, float(far))
+    return mesh, PoissonReport(len(inliers), depth, cell, cut.quantile, float(far))
 
 
 def spacing(points: np.ndarray) -> float:

@@ -20,18 +20,18 @@ REACH = 3.0  # Standard deviations of a Gaussian, within which it may make surfa
 FAR = 2.0  # Times the foreground's size that the points must reach for a background: two parts leave a seam.
 
 
-def given_numbers(option: str, given: ArrayLike, count: int) -> np.ndarray:
+def given_numbers(option: str, value: ArrayLike, count: int) -> np.ndarray:
     """`[count]` float64 numbers that an option was given.
 
     Raises:
         InputError: They are more or fewer, or no numbers.
     """
     try:
-        numbers = np.asarray(given, np.float64).ravel()
+        numbers = np.asarray(value, np.float64).ravel()
     except (TypeError, ValueError):
         numbers = np.zeros(0)
     if len(numbers) != count:
-        raise InputError(f"{option} {given}: expected {count} numbers")
+        raise InputError(f"{option} {value}: expected {count} numbers")
     return numbers
 
 

@@ -71,7 +71,7 @@ def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness
     Raises:
         InputError: No method finds a surface; or as they do.
     """
-    tried: dict[str, dict] = {}
+    judgements: dict[str, dict] = {}
     best = ""
     to_beat = 0.0
     faults = []
@@ -83,11 +83,11 @@ def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness
             faults.append(fault)
             continue
         agrees = next(iter(shares.values()))
-        tried[name] = shares | {"seconds": round(time.perf_counter() - started, 1)}
+        judgements[name] = shares | {"seconds": round(time.perf_counter() - started, 1)}
         if not best:
             best, to_beat = name, min(agrees + witness.margin, 1 - UNMET * (1 - agrees))
         elif agrees > to_beat:
             best, to_beat = name, agrees
     if not best:
         raise faults[0]
-    return Selection(best, tried)
+    return Selection(best, judgements)

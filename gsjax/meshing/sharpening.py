@@ -44,9 +44,9 @@ def sharpened(
     for camera, picture in zip(cameras, pictures, strict=True):
         side = SIDE if camera.width * camera.height <= MOST_PIXELS else 1
         texels, shares, pixels, depths, cosines = _sightings(textured, cast, camera, side)
-        colors, weights = _wanted(picture, camera, side, background, pixels, depths, cosines)
-        shown = np.einsum("rk,rkc->rc", shares, texture[texels]) / side**2
-        lacking = colors - np.stack([np.bincount(pixels, column, len(colors)) for column in shown.T], axis=1)
+        colors, weights = _target_colors(picture, camera, side, background, pixels, depths, cosines)
+        ray_colors = np.einsum("rk,rkc->rc", shares, texture[texels]) / side**2
+        lacking = colors - np.stack([np.bincount(pixels, column, len(colors)) for column in ray_colors.T], axis=1)
         spread = np.column_stack([lacking * weights[:, None], weights])[pixels]
         rows, back = np.unique(texels, return_inverse=True)
         for column in range(4):
@@ -65,7 +65,7 @@ def _sightings(textured: TexturedMesh, cast: Cast, camera: Camera, side: int) ->
     return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
 
 
-def _wanted(
+def _target_colors(
     picture: Picture,
     camera: Camera,
     side: int,

@@ -47,13 +47,13 @@ def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
         InputError: A photo cannot be read.
     """
     count = min(len(scene.frames), MOST_PHOTOS)
-    found = []
+    outlines = []
     for index in np.linspace(0, len(scene.frames) - 1, count).astype(int):
         outline = _outline(scene.frames[index])
         if outline is None:
             return ()
-        found.append(outline)
-    return tuple(found)
+        outlines.append(outline)
+    return tuple(outlines)
 
 
 def _outline(frame: Frame) -> Silhouette | None:
@@ -61,15 +61,15 @@ def _outline(frame: Frame) -> Silhouette | None:
     if matte is None:
         return None
     every = math.ceil(math.sqrt(matte.size / MOST_PIXELS))
-    taken = (slice(every // 2, None, every),) * 2
+    grid = (slice(every // 2, None, every),) * 2
     # The centre of the first pixel that is taken is to be the centre of the first one of the smaller picture.
     K = frame.K.astype(np.float64)
     K[:2, 2] -= every // 2 + 0.5 - every / 2
     return Silhouette(
         frame.viewmat,
         np.diag([1 / every, 1 / every, 1]) @ K,
-        matte[taken] > IS_OBJECT,
-        np.ones_like(matte[taken], bool) if valid is None else valid[taken] > 127,
+        matte[grid] > IS_OBJECT,
+        np.ones_like(matte[grid], bool) if valid is None else valid[grid] > 127,
     )
 
 
@@ -83,6 +83,8 @@ def overlap(mesh: Mesh, outlines: Sequence[Silhouette]) -> Overlap:
     cast, counts = ray_caster(mesh), np.zeros(3, np.int64)
     for viewmat, K, is_object, usable in outlines:
         height, width = is_object.shape
-        shown = depth_of_mesh(mesh, viewmat, K, width, height, cast=cast) > 0
-        counts += [np.sum(part & usable) for part in (shown & is_object, shown & ~is_object, is_object & ~shown)]
+        is_covered = depth_of_mesh(mesh, viewmat, K, width, height, cast=cast) > 0
+        counts += [
+            np.sum(part & usable) for part in (is_covered & is_object, is_covered & ~is_object, is_object & ~is_covered)
+        ]
     return Overlap(*(counts / max(counts.sum(), 1)))

@@ -107,9 +107,9 @@ def _with_small_triangles(
     is_left[faces] = False
     left = np.flatnonzero(is_left)
     columns, rows = np.clip(corners[left].mean(axis=1).astype(np.int64), 0, size - 1).T
-    wanted, first = np.unique(rows * size + columns, return_index=True)
-    is_free = ~np.isin(wanted, where)
+    texels, first = np.unique(rows * size + columns, return_index=True)
+    is_free = ~np.isin(texels, where)
     return (
-        np.concatenate([where, wanted[is_free]]).astype(np.int32),
+        np.concatenate([where, texels[is_free]]).astype(np.int32),
         np.concatenate([faces, left[first[is_free]]]).astype(np.int32),
     )

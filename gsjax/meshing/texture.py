@@ -85,12 +85,12 @@ def composite_views(
         colors, alphas = filled_in(picture, camera, depth > 0, background)
         # Nothing rendered is no haze.
         rendered = np.where(picture.depth > 0, picture.depth, np.inf)
-        shown = np.dstack([colors, alphas, depth, rendered]).astype(np.float32)
-        chosen = np.flatnonzero(may_be_seen(mesh, normals, camera)[texels.faces])
-        for first in range(0, len(chosen), TEXELS_AT_ONCE):
-            part = chosen[first : first + TEXELS_AT_ONCE]
+        layers = np.dstack([colors, alphas, depth, rendered]).astype(np.float32)
+        candidates = np.flatnonzero(may_be_seen(mesh, normals, camera)[texels.faces])
+        for first in range(0, len(candidates), TEXELS_AT_ONCE):
+            part = candidates[first : first + TEXELS_AT_ONCE]
             points, towards = _filled_up(texels.points[part]), _filled_up(normals[texels.faces[part]])
-            sums[part] += np.asarray(_sightings(points, towards, camera, shown))[: len(part)]
+            sums[part] += np.asarray(_sightings(points, towards, camera, layers))[: len(part)]
     weights = sums[:, 3:]
     is_seen = weights[:, 0] > 0
     colors = sums[:, :3] / np.where(is_seen[:, None], weights, 1)
@@ -125,12 +125,12 @@ def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 @jax.jit
-def _sightings(points: Array, normals: Array, camera: Camera, shown: Array) -> Array:
+def _sightings(points: Array, normals: Array, camera: Camera, layers: Array) -> Array:
     """`[C, 4]` of every texel what `_sighting` says."""
-    return jax.vmap(partial(_sighting, camera=camera, shown=shown))(points, normals)
+    return jax.vmap(partial(_sighting, camera=camera, layers=layers))(points, normals)
 
 
-def _sighting(point: Array, normal: Array, *, camera: Camera, shown: Array) -> Array:
+def _sighting(point: Array, normal: Array, *, camera: Camera, layers: Array) -> Array:
     """`[4]` weighted colour and weight of one point of the surface in one view; zeros where it is not seen.
 
     The four pixels around it are mixed bilinearly, those left out that show something else: where the mesh lies
@@ -140,7 +140,7 @@ def _sighting(point: Array, normal: Array, *, camera: Camera, shown: Array) -> A
         point: `[3]` world.
         normal: `[3]` unit, outward, world.
         camera: The view.
-        shown: `[H, W, 6]` colours times coverage, coverage, depth of the mesh, and depth of the Gaussians.
+        layers: `[H, W, 6]` colours times coverage, coverage, depth of the mesh, and depth of the Gaussians.
     """
     in_camera = pinhole.world_to_camera(point, camera)
     depth = jnp.maximum(in_camera[2], 1e-6)
@@ -158,7 +158,7 @@ def _sighting(point: Array, normal: Array, *, camera: Camera, shown: Array) -> A
     def pixel(right: int, down: int) -> Array:
         """`[4]` what one of the four pixels adds."""
         column, row = jnp.floor(left).astype(jnp.int32) + right, jnp.floor(top).astype(jnp.int32) + down
-        here = shown[jnp.minimum(row, camera.height - 1), jnp.minimum(column, camera.width - 1)]
+        here = layers[jnp.minimum(row, camera.height - 1), jnp.minimum(column, camera.width - 1)]
         share = jnp.abs(1 - right - (left - jnp.floor(left))) * jnp.abs(1 - down - (top - jnp.floor(top)))
         is_own = (jnp.abs(here[4] - depth) <= slack) & (here[5] * (1 + RENDERED_SLACK) >= depth)
         return jnp.where(is_own & (here[3] > MIN_COVERAGE), share, 0) * here[:4]

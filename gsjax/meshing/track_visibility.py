@@ -68,11 +68,11 @@ def track_rays(scene: Scene) -> TrackRays:
         ids, rays = by_name.get(frame.name, (np.zeros(0, int), np.zeros((0, 2))))
         viewmat, focals = frame.viewmat.astype(np.float64), frame.K[[0, 1], [0, 1]]
         local = every[ids] @ viewmat[:3, :3].T + viewmat[:3, 3]
-        kept = (local[:, 2] > 0) & (photos[ids] >= LEAST_PHOTOS)
-        shown = local[kept, :2] / local[kept, 2:]
-        points.append(every[ids[kept]])
+        usable = (local[:, 2] > 0) & (photos[ids] >= LEAST_PHOTOS)
+        projections = local[usable, :2] / local[usable, 2:]
+        points.append(every[ids[usable]])
         origins.append(np.broadcast_to(viewmat_center(viewmat), points[-1].shape))
-        errors.append(np.linalg.norm((shown - rays[kept]) * focals, axis=1))
+        errors.append(np.linalg.norm((projections - rays[usable]) * focals, axis=1))
     off = np.concatenate(errors)
     fits = off <= LARGEST_ERROR * np.median(off) if len(off) else np.zeros(0, bool)
     return TrackRays(np.concatenate(origins)[fits], np.concatenate(points)[fits])
@@ -88,5 +88,5 @@ def track_visibility(mesh: Mesh, lines: TrackRays) -> TrackVisibility:
     shares = ray_caster(mesh)(lines.origins, lines.points - lines.origins).distances  # 1: at the point
     nothing, before, behind = ~np.isfinite(shares), shares < 1 - SAME_SURFACE, shares > 1 + SAME_SURFACE
     parts = {"nothing": nothing, "before": before, "behind": behind & ~nothing}
-    found = {name: float(part.mean()) for name, part in parts.items()}
-    return TrackVisibility(met=1 - sum(found.values()), **found)
+    fractions = {name: float(part.mean()) for name, part in parts.items()}
+    return TrackVisibility(met=1 - sum(fractions.values()), **fractions)

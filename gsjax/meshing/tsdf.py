@@ -65,8 +65,8 @@ def tsdf(normals_of: NormalsOfDepth, *, voxel: float | None = None) -> Method:
             depth = _facing(picture, camera, normals_of)
             views.append(DepthView(camera, depth, to_bytes(np.asarray(picture.colors))))
             rows, columns = np.nonzero(depth)
-            drawn = rng.permutation(len(rows))[:POINTS_PER_VIEW]
-            points.append(level_set.world_points(camera, depth, rows[drawn], columns[drawn])[0])
+            sample = rng.permutation(len(rows))[:POINTS_PER_VIEW]
+            points.append(level_set.world_points(camera, depth, rows[sample], columns[sample])[0])
         points = np.concatenate(points)
         if not len(points):
             raise NoSurfaceError(

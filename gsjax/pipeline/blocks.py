@@ -103,8 +103,8 @@ def blocks(
     if merged is not None and not runs.is_finished(merged):
         _merge(planned, merged)
     figures = {} if merged is None else json_files.read(merged / "manifest.json", {})
-    told = {name: figures.get(name) for name in ("gaussians", "psnr", "ssim")}
-    return {"blocks": count, "trained": len(trained), "run": None if merged is None else str(merged), **told}
+    scores = {name: figures.get(name) for name in ("gaussians", "psnr", "ssim")}
+    return {"blocks": count, "trained": len(trained), "run": None if merged is None else str(merged), **scores}
 
 
 def _without_effects(settings: Settings) -> Settings:
@@ -123,22 +123,22 @@ def _without_effects(settings: Settings) -> Settings:
 
 def _planned(scene: Path, out: Path, settings: Settings, count: int) -> Blocks:
     """Read the plan in the folder, which must have the same arguments, or write a new one."""
-    file, asked = out / PLAN, {"scene": str(scene.resolve()), "settings": json_files.plain(config.to_dict(settings))}
+    file, request = out / PLAN, {"scene": str(scene.resolve()), "settings": json_files.plain(config.to_dict(settings))}
     if not file.exists():
         require_empty(out)
-        json_files.write(file, asked | _divided(scene, settings, count))
-    kept = json_files.read(file, _SHAPE)
-    for name, value in {**asked, "blocks": count}.items():
-        if {**kept, "blocks": len(kept["cells"])}[name] != value:
+        json_files.write(file, request | _divided(scene, settings, count))
+    record = json_files.read(file, _SHAPE)
+    for name, value in {**request, "blocks": count}.items():
+        if {**record, "blocks": len(record["cells"])}[name] != value:
             raise InputError(f"{out}: was begun with another {name}; choose another folder with --out")
-    cells = tuple(Cell(_limits(cell["low"], -math.inf), _limits(cell["high"], math.inf)) for cell in kept["cells"])
-    sized = settings.replace(photos={"downscale": kept["downscale"]})
-    photos = tuple(tuple(cell["photos"]) for cell in kept["cells"])
-    return Blocks(out, scene, sized, np.array(kept["directions"]), cells, photos)
+    cells = tuple(Cell(_limits(cell["low"], -math.inf), _limits(cell["high"], math.inf)) for cell in record["cells"])
+    sized = settings.replace(photos={"downscale": record["downscale"]})
+    photos = tuple(tuple(cell["photos"]) for cell in record["cells"])
+    return Blocks(out, scene, sized, np.array(record["directions"]), cells, photos)
 
 
-def _limits(kept: Sequence[float | None], beyond: float) -> tuple[float, float]:
-    first, second = (beyond if limit is None else limit for limit in kept)
+def _limits(limits: Sequence[float | None], beyond: float) -> tuple[float, float]:
+    first, second = (beyond if limit is None else limit for limit in limits)
     return first, second
 
 
@@ -150,18 +150,18 @@ def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
     centers = viewmat_centers(np.stack([loaded.place.viewmat_to_world(photo.viewmat) for photo in photos]))
     along = directions(centers)
     places = centers @ along.T
-    cells, seen = cut(places, count), _seen(loaded, names, along)
+    cells, points = cut(places, count), _points_of_photos(loaded, names, along)
     held_out = {frame.name for frame in loaded.held_out_frames}
     records = []
     for number, cell in enumerate(cells, 1):
-        block = np.array(names)[photos_of(cell, places, seen)].tolist()
+        block = np.array(names)[photos_of(cell, places, points)].tolist()
         if (left := len(set(block) - held_out)) < FEWEST:
             raise InputError(f"--blocks {count}: block {number} would have {left} photos to train on; make fewer")
         records.append({"low": cell.low, "high": cell.high, "photos": block})
     return {"downscale": chosen_downscale(settings.photos, loaded.frames), "directions": along, "cells": records}
 
 
-def _seen(scene: Scene, names: Sequence[str], along: np.ndarray) -> list[np.ndarray]:
+def _points_of_photos(scene: Scene, names: Sequence[str], along: np.ndarray) -> list[np.ndarray]:
     """`[P_v, 2]` places of the points that each photo sees; none without tracks."""
     if scene.tracks is None:
         return [np.empty((0, 2))] * len(names)
@@ -198,8 +198,8 @@ def _merge(planned: Blocks, out: Path) -> None:
             observe=picture_keeper(run),
         )
         figures = {"gaussians": gaussians.num_gaussians, "steps": count * settings.schedule.steps, **scores}
-        told = f"{count} blocks of {', '.join(f'{part.num_gaussians:,}' for part in parts)} Gaussians"
-        runs.update_manifest(run, status="done", photos=photos_line, blocks=told, **figures)
+        summary = f"{count} blocks of {', '.join(f'{part.num_gaussians:,}' for part in parts)} Gaussians"
+        runs.update_manifest(run, status="done", photos=photos_line, blocks=summary, **figures)
     report_if_installed(out)
 
 

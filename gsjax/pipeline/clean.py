@@ -79,22 +79,25 @@ def clean(
         sweep_beside(out)
         whole = load_gaussians(source)
         result = open_result(source, scene=scene) if is_run(source) or scene is not None else None
-        kinds = _judged(whole, result)
+        kinds = _outliers_by_kind(whole, result)
         kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~np.any(
             list(kinds.values()), 0
         )
-        taken = np.any(list(kinds.values()), axis=0)
-        if taken.all():
-            raise InputError(f"{source}: none of its {len(taken)} Gaussians would be left")
-        report: dict[str, Any] = {"gaussians": int((~taken).sum()), **{kind: int(kinds[kind].sum()) for kind in KINDS}}
+        is_removed = np.any(list(kinds.values()), axis=0)
+        if is_removed.all():
+            raise InputError(f"{source}: none of its {len(is_removed)} Gaussians would be left")
+        report: dict[str, Any] = {
+            "gaussians": int((~is_removed).sum()),
+            **{kind: int(kinds[kind].sum()) for kind in KINDS},
+        }
         place = stated_place(file)
-        picture = _picture(result, taken, out) if result is not None and taken.any() else None
-        if in_place and taken.any():
+        picture = _picture(result, is_removed, out) if result is not None and is_removed.any() else None
+        if in_place and is_removed.any():
             with atomic_path(_original(out)) as copy:
                 shutil.copyfile(out, copy)
-        if not in_place or taken.any():
-            format_of(out).write(out, take(whole, ~taken), place)  # Last: from now on it is cleaned.
-        original = str(_original(out)) if in_place and taken.any() else None
+        if not in_place or is_removed.any():
+            format_of(out).write(out, take(whole, ~is_removed), place)  # Last: from now on it is cleaned.
+        original = str(_original(out)) if in_place and is_removed.any() else None
         return report | {"original": original, "picture": picture}
 
 
@@ -149,7 +152,7 @@ def _check_numbers(box: Sequence[float] | None, sphere: Sequence[float] | None) 
         raise InputError(f"--sphere: its radius {sphere[3]:g} is not above 0")
 
 
-def _judged(whole: Gaussians, result: Result | None) -> dict[str, np.ndarray]:
+def _outliers_by_kind(whole: Gaussians, result: Result | None) -> dict[str, np.ndarray]:
     """`[N]` bool by kind."""
     means = np.asarray(whole.means, np.float64)
     cameras = [] if result is None else _cameras(result)
@@ -169,8 +172,8 @@ def _cameras(result: Result) -> list[Camera]:
     training = [camera for camera, held_out in zip(result.cameras, result.held_out, strict=True) if not held_out]
     if not training:
         raise InputError(f"{result.source}: has no training views to look from")
-    chosen = np.unique(np.linspace(0, len(training) - 1, min(MOST_VIEWS, len(training))).astype(int))
-    return [training[index] for index in chosen]
+    indices = np.unique(np.linspace(0, len(training) - 1, min(MOST_VIEWS, len(training))).astype(int))
+    return [training[index] for index in indices]
 
 
 def _hidden(gaussians: Gaussians, hidden: np.ndarray) -> Gaussians:
@@ -197,25 +200,25 @@ def _outside(
     if crop_to_cameras:
         if result is None:
             raise InputError(f"{source}: comes without cameras; --crop-to-cameras needs a run, or --scene")
-        found = outliers.looked_at(_cameras(result))
-        if found is None:
+        focus = outliers.looked_at(_cameras(result))
+        if focus is None:
             raise InputError(f"{source}: its cameras do not look at one place; give --box or --sphere")
-        middle, radius = found
+        middle, radius = focus
         outside |= np.linalg.norm(np.asarray(result.gaussians.means, np.float64) - middle, axis=1) > radius
     return outside
 
 
-def _picture(result: Result, taken: np.ndarray, out: Path) -> str:
+def _picture(result: Result, is_removed: np.ndarray, out: Path) -> str:
     """Before, after and what was taken out, from the view where that shows most."""
     cameras = _cameras(result)
 
     def rendered(hidden: np.ndarray, views: Sequence[Camera]) -> list[np.ndarray]:
-        seen = _hidden(result.gaussians, hidden)
-        return [picture.colors for picture in gallery.pictures(seen, views, result.background, "plane")]
+        remaining = _hidden(result.gaussians, hidden)
+        return [picture.colors for picture in gallery.pictures(remaining, views, result.background, "plane")]
 
-    before, after = rendered(np.zeros(len(taken), bool), cameras), rendered(taken, cameras)
+    before, after = rendered(np.zeros(len(is_removed), bool), cameras), rendered(is_removed, cameras)
     most = int(np.argmax([np.abs(a - b).mean() for a, b in zip(before, after, strict=True)]))
-    (alone,) = rendered(~taken, [cameras[most]])
+    (alone,) = rendered(~is_removed, [cameras[most]])
     panels = {"before": before[most], "after": after[most], "taken out": alone}
     return str(
         draw_panels({title: to_bytes(each) for title, each in panels.items()}, Path(f"{out}.cleaned.png"), columns=3)

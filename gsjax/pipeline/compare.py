@@ -61,13 +61,13 @@ def compare(folders: Iterable[str | Path], out: str | Path) -> Path:
     )
 
 
-def pooled_by_seed(found: Sequence[RunFacts]) -> dict[str, list[RunFacts]]:
+def pooled_by_seed(facts: Sequence[RunFacts]) -> dict[str, list[RunFacts]]:
     """Runs by a label: those of one data set whose settings are the same but for the seed lie together.
 
     The label is the first run's folder; with as much of its path as differs from the others'.
     """
     pools: dict[tuple, list[RunFacts]] = {}
-    for run in found:
+    for run in facts:
         settings = {key: value for key, value in flat_settings(run.settings).items() if key not in SEEDS}
         pools.setdefault((run.manifest["scene"], *sorted(settings.items())), []).append(run)
     labels = _short_names([pool[0].folder for pool in pools.values()])
@@ -100,10 +100,10 @@ def scores(pools: Mapping[str, Sequence[RunFacts]]) -> dict[str, list[str]]:
 
 def _member(run: RunFacts) -> tuple[str, ...]:
     """Folder, seed, state, machine and commit."""
-    made = run.manifest
-    machine = made["machine"].get("accelerator") or made["machine"]["cpu"]
+    manifest = run.manifest
+    machine = manifest["machine"].get("accelerator") or manifest["machine"]["cpu"]
     seed = run.settings.get("refinement", run.settings)["seed"]
-    return str(run.folder), str(seed), run_facts.state(run), machine, made["versions"].get("commit", "-")
+    return str(run.folder), str(seed), run_facts.state(run), machine, manifest["versions"].get("commit", "-")
 
 
 def _short_names(folders: Sequence[Path]) -> list[str]:

@@ -57,27 +57,27 @@ def convert(
     if min_opacity is not None and not 0 <= min_opacity <= 1:
         raise InputError(f"--min-opacity {min_opacity:g} is not between 0 and 1")
     gaussians = load_gaussians(source)
-    wanted = np.ones(gaussians.num_gaussians, bool)
+    is_kept = np.ones(gaussians.num_gaussians, bool)
     if crop is not None:
         means, (low, high) = np.asarray(gaussians.means), np.reshape(np.asarray(crop, np.float64), (2, 3))
-        wanted &= np.all((means >= low) & (means <= high), axis=1)
+        is_kept &= np.all((means >= low) & (means <= high), axis=1)
     if min_opacity is not None:
-        wanted &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
-    if not wanted.any() and len(wanted):
-        raise InputError(f"{source}: none of its {len(wanted)} Gaussians is wanted by --crop and --min-opacity")
-    kept = take(gaussians, wanted)
+        is_kept &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
+    if not is_kept.any() and len(is_kept):
+        raise InputError(f"{source}: none of its {len(is_kept)} Gaussians is wanted by --crop and --min-opacity")
+    remaining = take(gaussians, is_kept)
     if sh_degree is not None:
-        kept = _of_degree(kept, sh_degree)
+        remaining = _of_degree(remaining, sh_degree)
     place = stated_place(source / "gaussians.ply" if source.is_dir() else source)
-    clipped = format_of(out).write(out, kept, place)
+    clipped = format_of(out).write(out, remaining, place)
     stored = stored_similarity(out)
     return {
-        "gaussians": kept.num_gaussians,
-        "left_out": gaussians.num_gaussians - kept.num_gaussians,
+        "gaussians": remaining.num_gaussians,
+        "left_out": gaussians.num_gaussians - remaining.num_gaussians,
         "clipped": clipped,
         "stored_at": None if stored.is_identity else stored.summary,
-        "sh_degree": kept.sh_degree,
-        "pixel_filter": kept.pixel_filter,
+        "sh_degree": remaining.sh_degree,
+        "pixel_filter": remaining.pixel_filter,
         "bytes": out.stat().st_size,
     }
 

@@ -44,18 +44,18 @@ def diagnose(
     """
     if json is not None and Path(json).suffix != ".json":
         raise InputError(f"--json {json}: the name of the file must end in .json, its pictures will end in .png")
-    for written in () if json is None else (Path(json), Path(json).with_suffix(".png")):
-        require_apart(written, scene, images)
+    for output in () if json is None else (Path(json), Path(json).with_suffix(".png")):
+        require_apart(output, scene, images)
     loaded = load_scene(scene, downscale=downscale, images=images)
-    found = diagnose_scene(loaded)
+    diagnosis = diagnose_scene(loaded)
     folders = sorted(path.parent for path in Path(scene).glob(f"*/{normal_folders.MANIFEST}"))
-    record = found.record() | {
+    record = diagnosis.record() | {
         "normals": {folder.name: score_folder(folder, loaded) for folder in folders},
         "apart": apart(loaded),
     }
     if json is not None:
         json_files.write(json, record)
-        draw(found, Path(json).with_suffix(".png"))
+        draw(diagnosis, Path(json).with_suffix(".png"))
     return record
 
 
@@ -70,10 +70,10 @@ def normals_rows(record: dict[str, Any]) -> list[list[str]]:
     if not record["normals"]:
         return []
     rows = []
-    for name, found in record["normals"].items():
-        evidence = "-" if found["evidence"] is None else f"{found['evidence']:.2f} +-{found['noise']:.2g}"
-        decision, share = "kept" if found["kept"] else "rejected", f"{100 * found['share']:.0f} %"
-        rows.append([name, decision, evidence, f"{found['threshold']:g}", share, found["note"]])
+    for name, figures in record["normals"].items():
+        evidence = "-" if figures["evidence"] is None else f"{figures['evidence']:.2f} +-{figures['noise']:.2g}"
+        decision, share = "kept" if figures["kept"] else "rejected", f"{100 * figures['share']:.0f} %"
+        rows.append([name, decision, evidence, f"{figures['threshold']:g}", share, figures["note"]])
     return [["normals", "decision", "evidence", "threshold", "counts", "note"], *rows]
 
 
@@ -91,16 +91,16 @@ def apart(scene: Scene) -> dict[str, Any]:
 
 def apart_line(apart: dict[str, Any]) -> str:
     """Return the record of `apart` in words, with the consequence for training."""
-    photos, angle, tried = (apart[key] for key in ("photos", "degrees", "tried"))
-    said = f"photos: {photos} to train on, " + (
+    photos, angle, is_tried = (apart[key] for key in ("photos", "degrees", "tried"))
+    line = f"photos: {photos} to train on, " + (
         "no tracks tell how far apart" if angle is None else f"{angle:.0f} degrees apart, seen from what they show"
     )
-    if tried:
-        return f"{said}: presets try whether holding training back helps (sparse_views)"
-    return f"{said}; presets try to hold training back with {FEWEST} to {FEW}, or from {FAR_APART:g} degrees on"
+    if is_tried:
+        return f"{line}: presets try whether holding training back helps (sparse_views)"
+    return f"{line}; presets try to hold training back with {FEWEST} to {FEW}, or from {FAR_APART:g} degrees on"
 
 
-def draw(found: Diagnosis, path: Path) -> Path:
+def draw(diagnosis: Diagnosis, path: Path) -> Path:
     """Draw gains, fall-off towards the corner, bright smooth pixels, sharpness and sky of the photos as one picture.
 
     Raises:
@@ -108,26 +108,29 @@ def draw(found: Diagnosis, path: Path) -> Path:
     """
     figure = new_figure(18, 7.5)
     gains, corner, most_sky, bare, sharpness, skies = figure.subplots(2, 3).flat
-    photos = np.arange(len(found.observations.frames))
-    if found.gains is None:
+    photos = np.arange(len(diagnosis.observations.frames))
+    if diagnosis.gains is None:
         for axes in (gains, corner):
             axes.text(0.5, 0.5, "no tracks", ha="center", transform=axes.transAxes)
     else:
         for channel, color in enumerate(CHANNELS):
-            gains.plot(photos, found.gains.fit.gains[:, channel], ".-", color=color, linewidth=0.8, label=color)
+            gains.plot(photos, diagnosis.gains.fit.gains[:, channel], ".-", color=color, linewidth=0.8, label=color)
         gains.legend()
-        radii2, light, slope = vignetting.profile(found.observations, found.gains)
+        radii2, light, slope = vignetting.profile(diagnosis.observations, diagnosis.gains)
         corner.plot(np.sqrt(radii2), light, "k.")
         at = np.linspace(0, 1, 50)
         corner.plot(at, slope * at**2, "k", linewidth=0.8)
-    bare.bar(photos, [100 * facts.sky_share for facts in found.observations.facts])
-    sharp = np.array([facts.sharpness for facts in found.observations.facts])
+    bare.bar(photos, [100 * facts.sky_share for facts in diagnosis.observations.facts])
+    sharp = np.array([facts.sharpness for facts in diagnosis.observations.facts])
     sharpness.bar(photos, sharp / max(float(np.median(sharp)), 1e-12))
-    sharpness.axhline(1 - found.effects["blur"].threshold, color="red", linewidth=0.8)
-    shares = [found.sky[frame.name].mean() if frame.name in found.sky else 0.0 for frame in found.observations.frames]
+    sharpness.axhline(1 - diagnosis.effects["blur"].threshold, color="red", linewidth=0.8)
+    shares = [
+        diagnosis.sky[frame.name].mean() if frame.name in diagnosis.sky else 0.0
+        for frame in diagnosis.observations.frames
+    ]
     skies.bar(photos, [100 * share for share in shares])
-    frame = found.observations.frames[int(np.argmax(shares))]
-    most_sky.imshow(sky.tinted(frame.pixels().image, found.sky.get(frame.name)))
+    frame = diagnosis.observations.frames[int(np.argmax(shares))]
+    most_sky.imshow(sky.tinted(frame.pixels().image, diagnosis.sky.get(frame.name)))
     most_sky.set_axis_off()
     titles = {
         gains: ("gains of every photo", "photo", "EV"),
@@ -135,7 +138,7 @@ def draw(found: Diagnosis, path: Path) -> Path:
         bare: ("bright, smooth and unmatched", "photo", "% of its pixels"),
         sharpness: ("sharpness of every photo", "photo", "of the median"),
         skies: ("open sky", "photo", "% of its pixels"),
-        most_sky: (f"most sky (magenta): {frame.name}" if found.sky else "no sky", "", ""),
+        most_sky: (f"most sky (magenta): {frame.name}" if diagnosis.sky else "no sky", "", ""),
     }
     for axes, (title, x, y) in titles.items():
         axes.set(title=title, xlabel=x, ylabel=y)

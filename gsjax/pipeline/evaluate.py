@@ -68,39 +68,39 @@ def evaluate(
     """
     run, measures = Path(run), lpips_measures(lpips)
     result, folder = open_result(run), Run.open(run)
-    background, found = folder.settings["model"]["background"], folder.photo_effects
+    background, effects = folder.settings["model"]["background"], folder.photo_effects
     scene = scene_of_run(run, scene=scene_folder)
     similarity = scene.similarity
     zoomed = {  # Refused before hours of scoring.
         zoom: scene_of_run(run, zoom=zoom, scene=scene_folder).held_out_frames for zoom in zooms
     }
-    given = None if mesh is None else similarity.mesh_to_local(read_mesh(mesh))
-    if three_ways and not found.appearances:
-        found = found._replace(appearances=appearances_of_tracks(scene))
+    local_mesh = None if mesh is None else similarity.mesh_to_local(read_mesh(mesh))
+    if three_ways and not effects.appearances:
+        effects = effects._replace(appearances=appearances_of_tracks(scene))
     figures = score_images(
         result.gaussians,
         scene.held_out_frames,
         background,
         measures=measures,
-        found=found.with_near_appearances(scene.frames),
-        align=aligned_camera if aligned or found.moves else None,
+        found=effects.with_near_appearances(scene.frames),
+        align=aligned_camera if aligned or effects.moves else None,
         depth_mode=result.depth_mode,  # as the surface is read: one program draws both
     )
     figures.setdefault(STANDARD, None)
     for zoom, frames in zoomed.items():
-        plain = PhotoEffects(background=found.background)
+        plain = PhotoEffects(background=effects.background)
         scores = score_images(result.gaussians, frames, background, found=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
-    if given is not None:
+    if local_mesh is not None:
         textured = read_textured(mesh)
         shading = vertex_colors if textured is None else texture_colors(textured)
         figures |= score_appearance(
-            given,
+            local_mesh,
             shading,
             result.gaussians,
             scene.held_out_frames,
             background,
-            found.with_near_appearances(scene.frames),
+            effects.with_near_appearances(scene.frames),
         )
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
@@ -116,7 +116,7 @@ def evaluate(
         names = (*geometry.SCORES, *(f"mesh_{name}" for name in surface))
         score = partial(_score_mesh, frames=scene.held_out_frames, truth=truth, true_mesh=true)
         try:
-            surface |= score(similarity.mesh_to_local(_own_mesh(run)) if given is None else given)
+            surface |= score(similarity.mesh_to_local(_own_mesh(run)) if local_mesh is None else local_mesh)
         except NoSurfaceError as fault:
             print(f"{run}: its mesh is not scored: {fault}", file=sys.stderr)
             surface |= dict.fromkeys(names)

@@ -52,24 +52,24 @@ def masks(
         InputError: The photos, the record, a class, the weights or the folder cannot be used.
     """
     _, record = read_record(network, MASK_NETWORKS, lambda data: MaskNetwork)
-    chosen = chosen_classes(record, classes)
+    class_names = chosen_classes(record, classes)
     folder = Path(photos) / "masks" if out is None else Path(out)
     require_empty(folder)
     sources = _sources(Path(photos), images)
-    segmenter = Segmenter(record, weights, chosen)
+    segmenter = Segmenter(record, weights, class_names)
     left_out, without = [], 0
     began = time.perf_counter()
-    with atomic_folder(folder) as made:
+    with atomic_folder(folder) as new_folder:
         for source in tqdm(sources, desc=f"masks on {segmenter.graph.device}", unit="photo"):
             shows = segmenter(source.read_upright(), source.name)
             without += not shows.any()
             is_out = shows != invert
             left_out.append(is_out.mean())
             mask = np.where(is_out, np.uint8(0), np.uint8(255))
-            write_image(made / f"{path_inside(source.name)}.png", source.as_stored(mask))
+            write_image(new_folder / f"{path_inside(source.name)}.png", source.as_stored(mask))
     return {
         "masks": len(sources),
-        "classes": ", ".join(chosen),
+        "classes": ", ".join(class_names),
         "left_out": float(np.mean(left_out)),
         "photos_without": without,
         "provider": segmenter.graph.provider,

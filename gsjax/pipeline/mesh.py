@@ -112,9 +112,9 @@ def mesh(
     views, floaters = MeshViews(result, data, with_owners="owners" in needs), None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
         views, floaters = views.without_floaters()
-    name, tried = _select(methods, request, views)
+    name, judgements = _select(methods, request, views)
     surface, report = _extract(methods[name], request, views, views.ids)
-    report |= {"method": name, "tried": tried, "floaters": floaters, "holes": None, "photo_refine": None}
+    report |= {"method": name, "tried": judgements, "floaters": floaters, "holes": None, "photo_refine": None}
     if fill_holes:
         surface, closed = holes.fill_holes(surface, views.rendered)
         report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}

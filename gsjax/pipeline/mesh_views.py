@@ -124,8 +124,8 @@ class MeshViews:
         return [StoredPicture(to_bytes(each.colors), *each[1:]) for each in self._rendered(self.ids)]
 
     def _rendered(self, ids: Sequence[int], *, with_owners: bool | None = None) -> Iterator[Picture]:
-        chosen = {self.training[index] for index in ids}
-        others = tuple(index not in chosen for index in range(len(self.result.held_out)))
+        indices = {self.training[index] for index in ids}
+        others = tuple(index not in indices for index in range(len(self.result.held_out)))
         return training_pictures(
             replace(self.result, held_out=others),
             without_view_dependence(self.result.gaussians),

@@ -64,9 +64,9 @@ def normals(
     name, record = read_network(network)
     is_depth = isinstance(record, DepthNetwork)
     estimator = DepthEstimator(record, weights) if is_depth else NormalEstimator(record, weights)
-    taken, downscale = _sized(scene, downscale, images)
-    frames = taken.frames
-    estimate = DepthNormals(estimator, taken) if isinstance(estimator, DepthEstimator) else _unfitted(estimator)
+    loaded, downscale = _sized(scene, downscale, images)
+    frames = loaded.frames
+    estimate = DepthNormals(estimator, loaded) if isinstance(estimator, DepthEstimator) else _unfitted(estimator)
     folder = Path(scene) / f"{normal_folders.PREFIX}{name}" if out is None else Path(out)
     made_by = {
         "network": name,
@@ -81,9 +81,9 @@ def normals(
         began = time.perf_counter()
         places = map_places(frames)
         for frame in tqdm(missing, desc=f"{name} on {estimator.graph.device}", unit="photo", leave=bool(missing)):
-            found, fit = estimate(frame)
+            normal_map, fit = estimate(frame)
             file = Path(f"{places[frame.name]}.npz")
-            normal_folders.add(folder, manifest, frame.name, file, found, _about(frame, found, fit))
+            normal_folders.add(folder, manifest, frame.name, file, normal_map, _about(frame, normal_map, fit))
         seconds = time.perf_counter() - began
     maps = [manifest["maps"][frame.name] for frame in frames]
     return {
@@ -108,16 +108,16 @@ def read_network(network: str | Path) -> tuple[str, NormalNetwork | DepthNetwork
     Raises:
         InputError: It is neither a known name nor a file, or the file is no such record; names the key.
     """
-    known: dict[str, NormalNetwork | DepthNetwork] = {**NETWORKS, **DEPTH_NETWORKS}
-    return read_record(network, known, lambda data: DepthNetwork if "kind" in data else NormalNetwork)
+    networks: dict[str, NormalNetwork | DepthNetwork] = {**NETWORKS, **DEPTH_NETWORKS}
+    return read_record(network, networks, lambda data: DepthNetwork if "kind" in data else NormalNetwork)
 
 
 def _sized(scene: str | Path, downscale: float | None, images: str | None) -> tuple[Scene, float]:
     """The data set with frames of the size of their maps, and how many times smaller than the photos that is."""
-    taken = load_scene(scene, images=images)
+    loaded = load_scene(scene, images=images)
     # Not asking jax for its device: a GPU's memory is the network's here.
-    factor = chosen_downscale(Photos(downscale=downscale), taken.frames, on_cpu=False)
-    return (taken if factor == 1 else load_scene(scene, downscale=factor, images=images)), factor
+    factor = chosen_downscale(Photos(downscale=downscale), loaded.frames, on_cpu=False)
+    return (loaded if factor == 1 else load_scene(scene, downscale=factor, images=images)), factor
 
 
 def _unfitted(estimator: NormalEstimator) -> Callable[[Frame], tuple[np.ndarray, None]]:
@@ -139,11 +139,11 @@ def _missing(folder: Path, manifest: Mapping[str, Any], frames: tuple[Frame, ...
     return missing
 
 
-def _about(frame: Frame, found: np.ndarray, fit: DepthFit | None) -> dict[str, Any]:
+def _about(frame: Frame, normal_map: np.ndarray, fit: DepthFit | None) -> dict[str, Any]:
     """What the manifest holds of a map."""
-    about = {"camera": _camera(frame), "known": round(float(np.any(found, axis=-1).mean()), 4)}
+    about = {"camera": _camera(frame), "known": round(float(np.any(normal_map, axis=-1).mean()), 4)}
     if fit is None:
-        return about | {"votes": facing_votes(found, frame.K).tolist()}
+        return about | {"votes": facing_votes(normal_map, frame.K).tolist()}
     # JSON has no infinity: the error of a photo without points.
     numbers = {name: value for name, value in fit._asdict().items() if np.isfinite(value)}
     return about | {"fit": numbers, "rejected": fit.fault}
@@ -153,13 +153,13 @@ def _fits(maps: Mapping[str, Any], frames: tuple[Frame, ...]) -> dict[str, str]:
     """How well a network for depth fits the tracks, and which photos it does not fit."""
     rejected = [(frame.name, why) for frame in frames if (why := maps[frame.name]["rejected"])]
     fits = [maps[frame.name]["fit"] for frame in frames if not maps[frame.name]["rejected"]]
-    told = "none"
+    summary = "none"
     if fits:
         error, explained = (np.median([fit[name] for fit in fits]) for name in ("error", "explained"))
-        told = f"{100 * error:.1f} % off the tracks' depth, explains {explained:.2f} of it (medians)"
+        summary = f"{100 * error:.1f} % off the tracks' depth, explains {explained:.2f} of it (medians)"
     named = "; ".join(f"{name} ({why})" for name, why in rejected[:SHOWN])
     more = f"; and {len(rejected) - SHOWN} more" if len(rejected) > SHOWN else ""
-    return {"fit": told, "rejected": f"{len(rejected)} of {len(frames)}" + (f": {named}{more}" if rejected else "")}
+    return {"fit": summary, "rejected": f"{len(rejected)} of {len(frames)}" + (f": {named}{more}" if rejected else "")}
 
 
 def _camera(frame: Frame) -> list[float]:

@@ -208,13 +208,13 @@ def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
     return plan_record([phase], trained.downscale, None)
 
 
-def prepare_mesh(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:
+def prepare_mesh(original: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:
     """A mesh that Gaussians can be bound to: without triangles that spoil it, decimated where it has too many.
 
     Parts stay, however small: what to leave out was decided when the mesh was made. One line says what went.
 
     Args:
-        given: Any mesh.
+        original: Any mesh.
         most_faces: Above it, the mesh is decimated.
         halved_share: Of these, not to be filled by the decimation.
 
@@ -224,9 +224,9 @@ def prepare_mesh(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tup
     Raises:
         InputError: Nothing is left.
     """
-    if given.num_faces > most_faces:
+    if original.num_faces > most_faces:
         most_faces = max(round((1 - halved_share) * most_faces), 1)
-    mesh, report = clean(given, min_component_share=0.0, max_faces=most_faces)
+    mesh, report = clean(original, min_component_share=0.0, max_faces=most_faces)
     taken_out = {
         "degenerate": report.degenerate_faces,
         "duplicate": report.duplicate_faces,
@@ -235,19 +235,19 @@ def prepare_mesh(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tup
     }
     if any(taken_out.values()):
         counts = ", ".join(f"{count:,} {name.replace('_', '-')}" for name, count in taken_out.items() if count)
-        print(f"refine: {mesh.num_faces:,} of {given.num_faces:,} triangles are left; {counts}", file=sys.stderr)
+        print(f"refine: {mesh.num_faces:,} of {original.num_faces:,} triangles are left; {counts}", file=sys.stderr)
     return mesh, taken_out
 
 
 def halved_where_seen(mesh: Mesh, data: Batches, count: int) -> Mesh:
     """The mesh with `count` triangles, where more pixels see it more: decimation goes by shape alone."""
-    cast, seen = ray_caster(mesh), np.zeros(mesh.num_faces)
-    chosen = np.unique(np.linspace(0, data.num_views - 1, min(MOST_VIEWS, data.num_views)).astype(int))
-    for target in tqdm([data.views[index] for index in chosen], desc="seen triangles", unit="view", delay=QUIET):
+    cast, pixel_counts = ray_caster(mesh), np.zeros(mesh.num_faces)
+    indices = np.unique(np.linspace(0, data.num_views - 1, min(MOST_VIEWS, data.num_views)).astype(int))
+    for target in tqdm([data.views[index] for index in indices], desc="seen triangles", unit="view", delay=QUIET):
         faces = faces_of_pixels(mesh, target.camera.viewmat, target.camera.K, *data.size, cast=cast)
         usable = np.asarray(decode(target, jnp.zeros(3)).valid)
-        seen += np.bincount(faces[usable & (faces >= 0)], minlength=mesh.num_faces)
-    halved = bisect_triangles(mesh, seen, count)
+        pixel_counts += np.bincount(faces[usable & (faces >= 0)], minlength=mesh.num_faces)
+    halved = bisect_triangles(mesh, pixel_counts, count)
     print(f"refine: {halved.num_faces:,} triangles after halving those that most pixels see", file=sys.stderr)
     return halved
 

@@ -199,8 +199,8 @@ def _write_pictures(out: Path, source: _Source, views: Views) -> None:
         all_stems = picture_stems(source.names)
         cameras, stems = [source.cameras[row] for row in rows], [all_stems[row] for row in rows]
     out = make_folder(out)
-    drawn = zip(stems, cameras, source.draw(cameras), strict=True)
-    for stem, camera, picture in tqdm(drawn, total=len(cameras), desc="render", unit="view"):
+    pictures = zip(stems, cameras, source.draw(cameras), strict=True)
+    for stem, camera, picture in tqdm(pictures, total=len(cameras), desc="render", unit="view"):
         write_image(out / f"{stem}_color.png", to_bytes(picture.colors))
         write_image(out / f"{stem}_depth.png", depth_picture(picture.depth))
         write_image(out / f"{stem}_normal.png", surface_picture(picture.depth, camera))
@@ -222,8 +222,8 @@ def _pictures(source: _Source, cameras: list[Camera], what: What) -> Iterator[np
     """`[H, W, 3]` uint8 pictures of a film."""
     some = cameras[:: max(1, len(cameras) // SPAN_VIEWS)] if what == "depth" else []
     span = depth_span(np.stack([picture.depth for picture in source.draw(some)])) if some else None
-    drawn = zip(cameras, source.draw(cameras), strict=True)
-    for camera, picture in tqdm(drawn, total=len(cameras), desc="render", unit="picture"):
+    pictures = zip(cameras, source.draw(cameras), strict=True)
+    for camera, picture in tqdm(pictures, total=len(cameras), desc="render", unit="picture"):
         if what == "image":
             yield to_bytes(picture.colors)
         elif what == "depth":

@@ -73,7 +73,7 @@ def scan(
     if reconstruction and is_data_set(source):
         options = " and ".join(f"--{name.replace('_', '-')}" for name in reconstruction)
         raise InputError(f"{source}: is a data set, whose cameras are known; {options}: for photos or a video only")
-    asked = {
+    request = {
         "source": str(source.resolve()),
         "frames": None,
         "settings": config.to_dict(settings),
@@ -83,7 +83,7 @@ def scan(
     _require_scan(out)  # Before anything of ours is in it.
     with lock_folder(make_folder(out)):
         sweep(out)
-        report = _begun(out, asked)
+        report = _report_so_far(out, request)
         for stage in _stages(source, out, settings, refinement, reconstruction):
             if not (stage.is_done() and stage.name in report["stages"]):
                 progress(f"scan: {stage.name}")
@@ -118,9 +118,9 @@ def _do(stage: Stage, out: Path, report: dict[str, Any]) -> None:
 
 def table(report: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """What a person wants to read of the report: a row a stage, for `gsjax.report.tables.compare`."""
-    shown = ("seconds", "peak_gib", "registered", "psnr", "psnr_near_gains", "ssim", "gaussians", "faces", "seen_share")
+    names = ("seconds", "peak_gib", "registered", "psnr", "psnr_near_gains", "ssim", "gaussians", "faces", "seen_share")
     return {
-        stage: {name: figures[name] for name in shown if name in figures} for stage, figures in report["stages"].items()
+        stage: {name: figures[name] for name in names if name in figures} for stage, figures in report["stages"].items()
     }
 
 
@@ -132,17 +132,17 @@ def _require_scan(out: Path) -> None:
                 raise InputError(f"{out}: this folder is not empty and holds no scan; choose another with --out")
 
 
-def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
+def _report_so_far(out: Path, request: Mapping[str, Any]) -> dict[str, Any]:
     """The report so far of a scan that was begun with the same wishes, or a new one."""
     file = out / "report.json"
     if file.exists():
         report = json_files.read(file, {"asked": {str: object}, "stages": {str: {"seconds?": (None, float)}}})
-        begun = report.get("asked", {})
-        for key in {**asked, **begun}:
-            if begun.get(key) != asked.get(key):
+        previous = report.get("asked", {})
+        for key in {**request, **previous}:
+            if previous.get(key) != request.get(key):
                 raise InputError(f"{out}: was begun with another {key}; choose another folder with --out")
         return report
-    report = {"asked": dict(asked), "stages": {}}
+    report = {"asked": dict(request), "stages": {}}
     json_files.write(file, report)
     return report
 
@@ -193,12 +193,12 @@ def _overview(out: Path) -> Path:
     local = result.similarity.mesh_to_local
     coarse, refined = (local(read_mesh(out / folder / "mesh.ply")) for folder in ("run", "refined"))
     assert textured is not None, "the scan wrote its texture"
-    chosen = next((i for i, held_out in enumerate(result.held_out) if held_out), 0)
-    camera = result.cameras[chosen]
+    index = next((i for i, held_out in enumerate(result.held_out) if held_out), 0)
+    camera = result.cameras[index]
     picture = next(gallery.pictures(result.gaussians, [camera], result.background, result.depth_mode))
 
     panels = {
-        f"Gaussians, {result.names[chosen]}": to_bytes(picture.colors),
+        f"Gaussians, {result.names[index]}": to_bytes(picture.colors),
         "normals": surface_picture(picture.depth, camera),
         "coarse mesh": mesh_picture(coarse, camera),
         "refined mesh": mesh_picture(refined, camera),

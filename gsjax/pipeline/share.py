@@ -54,18 +54,18 @@ def share(
         raise InputError(f"--sh-degree {sh_degree} is not between 0 and {MOST_DEGREE}")
     require_apart(out, source, mesh)
     sweep_beside(out)
-    found = _mesh_of(source) if mesh is None else Path(mesh)
-    glb = None if found is None else glb_bytes(found)
+    mesh_file = _mesh_of(source) if mesh is None else Path(mesh)
+    glb = None if mesh_file is None else glb_bytes(mesh_file)
     result = open_result(source)
     if not result.gaussians.num_gaussians:
         raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
-    kept = most_visible(result.gaussians, max_gaussians)
+    remaining = most_visible(result.gaussians, max_gaussians)
     bands = ((MOST_DEGREE if sh_degree is None else sh_degree) + 1) ** 2 - 1
     figures = write_shared(
         out,
         Shared(
             title=source.resolve().name if title is None else title,
-            gaussians=replace(kept, sh_rest=kept.sh_rest[:, :bands]),
+            gaussians=replace(remaining, sh_rest=remaining.sh_rest[:, :bands]),
             bookmarks=(bookmarks := thinned(result)),
             middle=opaque_middle(result.gaussians),
             up=mean_up(result.cameras),
@@ -74,8 +74,8 @@ def share(
             glb=glb,
         ),
     )
-    left_out = result.gaussians.num_gaussians - kept.num_gaussians
-    return {"gaussians": kept.num_gaussians, "left_out": left_out, "bookmarks": len(bookmarks), **figures}
+    left_out = result.gaussians.num_gaussians - remaining.num_gaussians
+    return {"gaussians": remaining.num_gaussians, "left_out": left_out, "bookmarks": len(bookmarks), **figures}
 
 
 def most_visible(gaussians: Gaussians, most: int | None) -> Gaussians:
@@ -96,5 +96,5 @@ def thinned(result: Result) -> list[tuple[str, Any]]:
 
 def _mesh_of(source: Path) -> Path | None:
     """The mesh that a run folder holds, the textured one where there are two."""
-    found = [source / name for name in ("mesh.glb", "mesh.ply") if source.is_dir() and (source / name).is_file()]
-    return found[0] if found else None
+    files = [source / name for name in ("mesh.glb", "mesh.ply") if source.is_dir() and (source / name).is_file()]
+    return files[0] if files else None

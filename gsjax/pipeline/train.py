@@ -95,16 +95,16 @@ def train(
     rasterizer.prepare()
     with own_folder(out) as folder:
         pieces = terms, densification, effects
-        asked = ask(scene, folder, settings, *pieces, resume=resume, warm_start=warm_start, devices=devices)
-        loaded = load(asked)
-        prepared = prepare(asked, loaded)
-        planned = _plan(asked, loaded, prepared)
-        run = _open_run(asked, loaded, planned)
+        request = ask(scene, folder, settings, *pieces, resume=resume, warm_start=warm_start, devices=devices)
+        loaded = load(request)
+        prepared = prepare(request, loaded)
+        planned = _plan(request, loaded, prepared)
+        run = _open_run(request, loaded, planned)
         with runs.claim_run(run):
             runs.update_manifest(run, **prepared.notes)
             if prepared.stereo and is_first():
                 write_stereo_maps(run, prepared.stereo)
-            trained = _fit(run, asked, prepared, planned, observe)
+            trained = _fit(run, request, prepared, planned, observe)
             return _write(run, prepared, planned, trained)
 
 
@@ -117,26 +117,26 @@ class _Planned:
     steps_in_common: int | None  # with the run of a warm start
 
 
-def _plan(asked: Asked, loaded: Loaded, prepared: Prepared) -> _Planned:
+def _plan(request: Asked, loaded: Loaded, prepared: Prepared) -> _Planned:
     """The plan with the chosen effects, its optimizer, and where a warm start begins."""
     planned = replace(prepared.plan.with_effects(prepared.effects.names), downscale=loaded.downscale)
     rates = planned.rates
     optimizer = optimizers.make_optimizer(
         rates, prepared.extent, rates.decay_steps, views_per_step=planned.views_per_step
     )
-    return _Planned(planned, optimizer, asked.warm_start and shared_steps(asked.warm_start, planned))
+    return _Planned(planned, optimizer, request.warm_start and shared_steps(request.warm_start, planned))
 
 
-def _open_run(asked: Asked, loaded: Loaded, planned: _Planned) -> Path:
+def _open_run(request: Asked, loaded: Loaded, planned: _Planned) -> Path:
     """The run folder, made or reopened."""
-    settings = config.to_dict(asked.settings)
-    if asked.resumed:
-        return runs.reopen(asked.out, settings, scene=asked.scene)
+    settings = config.to_dict(request.settings)
+    if request.resumed:
+        return runs.reopen(request.out, settings, scene=request.scene)
     return runs.create(
-        asked.out,
+        request.out,
         settings,
-        scene=asked.scene,
-        seed=asked.settings.seed,
+        scene=request.scene,
+        seed=request.settings.seed,
         similarity=loaded.scene.similarity,
         place=loaded.scene.place,
         plan=planned.plan.record(),
@@ -153,20 +153,20 @@ class _Trained:
 
 
 def _fit(
-    run: Path, asked: Asked, prepared: Prepared, planned: _Planned, observe: Callable[[Progress], None] | None
+    run: Path, request: Asked, prepared: Prepared, planned: _Planned, observe: Callable[[Progress], None] | None
 ) -> _Trained:
     """Take the steps of the plan from the newest checkpoint on."""
-    chosen, mesh, model = prepared.effects, asked.mesh, asked.settings.model
+    effects, mesh, model = prepared.effects, request.mesh, request.settings.model
     model = replace(model, max_gaussians=planned.plan.max_gaussians)
     initial = partial(
-        first_state, prepared.start, model, planned.plan.rule, planned.optimizer, chosen.effects, skies=chosen.skies
+        first_state, prepared.start, model, planned.plan.rule, planned.optimizer, effects.effects, skies=effects.skies
     )
-    state, capacity, seconds = starting_point(run, initial, asked.warm_start, planned.steps_in_common)
-    if asked.warm_start is not None:
-        take_normals(asked.warm_start, run, planned.plan, int(state.step))
+    state, capacity, seconds = starting_point(run, initial, request.warm_start, planned.steps_in_common)
+    if request.warm_start is not None:
+        take_normals(request.warm_start, run, planned.plan, int(state.step))
     state = _of_first(state, initial)
     whole = (lambda state: state) if mesh is None else jax.device_get
-    with TrainingJournal(run, planned.plan, prepared.scene, int(state.step), seconds, chosen, whole) as journal:
+    with TrainingJournal(run, planned.plan, prepared.scene, int(state.step), seconds, effects, whole) as journal:
         work = _work(prepared, planned, mesh, journal, observe)
         if mesh is not None:  # Of several processes only the first knows the stored capacity.
             state, capacity = data_parallel.replicate(state, mesh), None
@@ -182,7 +182,7 @@ def _work(
     observe: Callable[[Progress], None] | None,
 ) -> Work:
     """What the phases share."""
-    chosen, frames = prepared.effects, prepared.scene.train_frames
+    effects, frames = prepared.effects, prepared.scene.train_frames
 
     def note(progress: Progress) -> None:
         if observe is not None:
@@ -191,7 +191,7 @@ def _work(
 
     def normals(state: TrainState) -> list[np.ndarray]:
         state = journal.whole(state)
-        moved = with_moved_cameras(frames, chosen.photo_effects(state.effects).moves)
+        moved = with_moved_cameras(frames, effects.photo_effects(state.effects).moves)
         return [from_first(each) for each in prepared.normals(state.gaussians, moved)]
 
     return Work(
@@ -201,10 +201,10 @@ def _work(
         planned.optimizer,
         prior=normals,
         observe=note,
-        effects=chosen.effects,
+        effects=effects.effects,
         mesh=mesh,
         depths=prepared.depths,
-        skies=chosen.skies,
+        skies=effects.skies,
         keep=prepared.keep,
         # A CPU computes all the while, and has no step's memory to spare.
         looks=None if mesh is not None or computes_on_cpu() else journal.looks,
@@ -222,25 +222,25 @@ def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainS
 
 def _write(run: Path, prepared: Prepared, planned: _Planned, trained: _Trained) -> dict[str, Any]:
     """Write Gaussians, cameras and effects, score the held-out views, and report."""
-    chosen, state = prepared.effects, trained.state
-    found = chosen.photo_effects(state.effects)
-    scene = replace(prepared.scene, frames=with_moved_cameras(prepared.scene.frames, found.moves))
+    effects, state = prepared.effects, trained.state
+    photo_effects = effects.photo_effects(state.effects)
+    scene = replace(prepared.scene, frames=with_moved_cameras(prepared.scene.frames, photo_effects.moves))
     gaussians = jax.tree.map(np.asarray, state.gaussians.alive())
     world = scene.similarity.gaussians_to_world(gaussians)
     write_gaussians(run / "gaussians.ply", world, scene.place, cameras=scene.camera_centers)
-    write_views(run, scene.frames, chosen.skies)
-    keep_skies(run, scene.frames, chosen.skies)
-    write_photo_effects(run, found)
-    if found.moves:
-        report(line := moves_line(found.moves, scene.similarity))
+    write_views(run, scene.frames, effects.skies)
+    keep_skies(run, scene.frames, effects.skies)
+    write_photo_effects(run, photo_effects)
+    if photo_effects.moves:
+        report(line := moves_line(photo_effects.moves, scene.similarity))
         runs.update_manifest(run, cameras=line)
     # The buffer as it is: a program for this very number of Gaussians would serve once.
     scores = score_images(
         state.gaussians,
         scene.held_out_frames,
         planned.plan.background,
-        found=found.with_near_appearances(scene.frames),
-        align=align if found.moves else None,
+        found=photo_effects.with_near_appearances(scene.frames),
+        align=align if photo_effects.moves else None,
         depth_mode=planned.plan.depth_mode,
         observe=picture_keeper(run),
     )

@@ -29,12 +29,12 @@ class TrainingJournal(Journal):
         scene: Scene,
         step: int,
         seconds: float,
-        chosen: ChosenEffects,
+        effects: ChosenEffects,
         whole: Callable[[TrainState], TrainState] = lambda state: state,
     ):
         """Begin at `step`; `whole` brings a state to one device."""
         super().__init__(run, "train", planned.steps, step, seconds)
-        self.plan, self.scene, self.chosen = planned, scene, chosen
+        self.plan, self.scene, self.chosen = planned, scene, effects
         self._pace, self.whole, self._held = Pace(), whole, False
         self._ends = {phase.end for phase in planned.phases}
         self.evaluate_every = planned.logging.evaluate_every if scene.held_out_frames else 0
@@ -73,12 +73,14 @@ class TrainingJournal(Journal):
 
     def _held_out(self, state: TrainState) -> dict[str, float]:
         """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""
-        planned, found = self.plan, self.chosen.photo_effects(state.effects)
-        frames = with_moved_cameras(self.scene.held_out_frames, found.moves)
-        found = found.with_near_appearances(self.scene.frames)._replace(
+        planned, photo_effects = self.plan, self.chosen.photo_effects(state.effects)
+        frames = with_moved_cameras(self.scene.held_out_frames, photo_effects.moves)
+        photo_effects = photo_effects.with_near_appearances(self.scene.frames)._replace(
             appearances={}
         )  # the other scores come at the end
-        scores = score_images(state.gaussians, frames, planned.background, found=found, depth_mode=planned.depth_mode)
+        scores = score_images(
+            state.gaussians, frames, planned.background, found=photo_effects, depth_mode=planned.depth_mode
+        )
         return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
 
     def _tell_held(self, progress: Progress, count: int) -> None:

@@ -40,25 +40,25 @@ def undistort(
     """
     require_empty(out)
     loaded = load_scene(scene, downscale=downscale, images=images)
-    written: dict[str, Frame] = {}
+    frames_by_name: dict[str, Frame] = {}
     masks = 0
     with atomic_folder(out) as folder:
         for frame in tqdm(loaded.frames, desc="undistort", unit="image"):
             pixels = frame.pixels()
             name = written_name(frame.name, pixels.matte is not None)
-            if name in written:
+            if name in frames_by_name:
                 raise InputError(f"{scene}: two of its photos would both be written as {name}")
-            written[name] = replace(frame, name=name)
+            frames_by_name[name] = replace(frame, name=name)
             write_image(folder / "images" / name, _picture(pixels))
             if pixels.valid is not None and not pixels.valid.all():
                 write_image(folder / "masks" / f"{name}.png", pixels.valid)
                 masks += 1
-        held_out = [name for name, frame in written.items() if frame.held_out]
+        held_out = [name for name, frame in frames_by_name.items() if frame.held_out]
         (folder / OWN_LIST).write_text("".join(f"{name}\n" for name in held_out), encoding="utf-8")
-        frames = tuple(written.values())
+        frames = tuple(frames_by_name.values())
         write_model(folder / "sparse" / "0", frames, loaded.points, loaded.point_colors, loaded.similarity)
         write_place(folder, loaded.place.reached)
-    return {"images": len(written), "held_out": len(held_out), "masks": masks, "points": len(loaded.points)}
+    return {"images": len(frames_by_name), "held_out": len(held_out), "masks": masks, "points": len(loaded.points)}
 
 
 def _picture(pixels: Pixels) -> np.ndarray:

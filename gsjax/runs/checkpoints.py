@@ -46,11 +46,11 @@ def load(path: str | Path, like: Any | Callable[[dict[str, np.ndarray]], Any]) -
     stored = load_arrays(path)
     if callable(like):
         like = like(stored)
-    wanted = _named_leaves(like)
-    surplus = stored.keys() - {name for name, _ in wanted}
+    leaves_by_name = _named_leaves(like)
+    surplus = stored.keys() - {name for name, _ in leaves_by_name}
     if surplus:
-        raise InputError(f"{path}: holds {_shown(min(surplus))}, which this run has no place for")
-    leaves = [_checked(path, name, stored, leaf) for name, leaf in wanted]
+        raise InputError(f"{path}: holds {_quoted(min(surplus))}, which this run has no place for")
+    leaves = [_checked(path, name, stored, leaf) for name, leaf in leaves_by_name]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
 
@@ -74,16 +74,16 @@ def _named_leaves(tree: Any) -> list[tuple[str, Any]]:
     return [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]]
 
 
-def _checked(path: str | Path, name: str, stored: dict[str, np.ndarray], wanted: Any) -> Any:
-    """The stored leaf `name`, if it is what `wanted` describes."""
+def _checked(path: str | Path, name: str, stored: dict[str, np.ndarray], template: Any) -> Any:
+    """The stored leaf `name`, if it is what `template` describes."""
     if name not in stored:
-        raise InputError(f"{path}: {_shown(name)} is missing")
-    leaf, like = stored[name], wanted if hasattr(wanted, "dtype") else np.asarray(wanted)
+        raise InputError(f"{path}: {_quoted(name)} is missing")
+    leaf, like = stored[name], template if hasattr(template, "dtype") else np.asarray(template)
     if (leaf.shape, leaf.dtype) != (tuple(like.shape), np.dtype(like.dtype)):
         expected = f"{np.dtype(like.dtype)}{list(like.shape)}"
-        raise InputError(f"{path}: {_shown(name)} is {leaf.dtype}{list(leaf.shape)}, expected {expected}")
-    return leaf if isinstance(wanted, np.ndarray | np.generic) else jnp.asarray(leaf)
+        raise InputError(f"{path}: {_quoted(name)} is {leaf.dtype}{list(leaf.shape)}, expected {expected}")
+    return leaf if isinstance(template, np.ndarray | np.generic) else jnp.asarray(leaf)
 
 
-def _shown(name: str) -> str:
+def _quoted(name: str) -> str:
     return f"'{name.lstrip('.')}'"

@@ -19,7 +19,7 @@ class Compilations:
 
     def __init__(self):
         """Nothing seen yet."""
-        self._seen: list[dict[str, Any]] = []
+        self._records: list[dict[str, Any]] = []
 
     def __enter__(self) -> Self:
         """Begin to listen."""
@@ -32,13 +32,13 @@ class Compilations:
 
     def drain(self) -> list[dict[str, Any]]:
         """`program` and `seconds` of each compilation since the last call, without those under a tenth of a second."""
-        seen, self._seen = self._seen, []
-        return seen
+        records, self._records = self._records, []
+        return records
 
     def _note(self, event: str, seconds: float, **about: Any) -> None:
         if event == _COMPILED and seconds >= _SHORTEST:
             program = str(about.get("fun_name", "?")).removeprefix("jit(").removesuffix(")")
-            self._seen.append({"program": program, "seconds": round(seconds, 2)})
+            self._records.append({"program": program, "seconds": round(seconds, 2)})
 
 
 def is_crowded() -> bool:

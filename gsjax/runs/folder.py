@@ -217,15 +217,15 @@ def claim_run(run: Path) -> Iterator[None]:
 
 def _drop_damaged_checkpoints(run: Path) -> None:
     """Leaves the newest that is whole. One line says which are gone."""
-    while found := _checkpoints(run):
+    while candidates := _checkpoints(run):
         try:
-            checkpoints.load_arrays(found[-1][1])
+            checkpoints.load_arrays(candidates[-1][1])
             return
         except InputError as error:
-            if len(found) == 1:
+            if len(candidates) == 1:
                 raise InputError(f"{error}; without this file, --resume begins at the first step") from error
-            print(f"{error}; resuming from {found[-2][1].name}", file=sys.stderr)
-            found[-1][1].unlink()
+            print(f"{error}; resuming from {candidates[-2][1].name}", file=sys.stderr)
+            candidates[-1][1].unlink()
 
 
 def _forget(run: Path) -> None:
@@ -254,8 +254,8 @@ def read_similarity(run: str | Path) -> Similarity:
         InputError: The manifest is damaged.
     """
     file = Path(run) / "manifest.json"
-    kept = json_files.read(file, {}).get("similarity") if file.exists() else None
-    return IDENTITY if kept is None else parse_similarity(kept, file)
+    record = json_files.read(file, {}).get("similarity") if file.exists() else None
+    return IDENTITY if record is None else parse_similarity(record, file)
 
 
 def save_checkpoint(run: str | Path, step: int, tree: Any) -> Path:
@@ -269,8 +269,8 @@ def save_checkpoint(run: str | Path, step: int, tree: Any) -> Path:
 
 def latest_checkpoint(run: str | Path, until: int | None = None) -> tuple[int, Path] | None:
     """Step and path of the newest checkpoint (after at most `until` steps), or None before the first."""
-    found = [(step, path) for step, path in _checkpoints(run) if until is None or step <= until]
-    return found[-1] if found else None
+    candidates = [(step, path) for step, path in _checkpoints(run) if until is None or step <= until]
+    return candidates[-1] if candidates else None
 
 
 def append_metrics(run: str | Path, record: Mapping[str, Any]) -> None:
@@ -302,9 +302,9 @@ def read_metrics(run: str | Path) -> list[dict[str, Any]]:
 
 def truncate_metrics(run: str | Path, step: int) -> None:
     """Drops what was logged after `step`: a resumed run logs it again."""
-    kept = [record for record in read_metrics(run) if record["step"] <= step]
+    records = [record for record in read_metrics(run) if record["step"] <= step]
     with atomic_path(Path(run) / "metrics.jsonl") as temporary:
-        temporary.write_text("".join(json.dumps(record) + "\n" for record in kept), encoding="utf-8")
+        temporary.write_text("".join(json.dumps(record) + "\n" for record in records), encoding="utf-8")
 
 
 def read_settings(run: str | Path) -> dict[str, Any]:
@@ -327,10 +327,10 @@ def _checkpoints(run: str | Path) -> list[tuple[int, Path]]:
 def _differences(before: Any, now: Any, at: str = "") -> dict[str, tuple[str, str]]:
     """Dotted keys at which two nested dicts differ, with both values as JSON."""
     if isinstance(before, dict) and isinstance(now, dict):
-        found = {}
+        differences = {}
         for key in [*before, *(key for key in now if key not in before)]:
-            found |= _differences(before.get(key), now.get(key), f"{at}.{key}" if at else key)
-        return found
+            differences |= _differences(before.get(key), now.get(key), f"{at}.{key}" if at else key)
+        return differences
     return {} if before == now else {at: (json.dumps(before), json.dumps(now))}
 
 

@@ -43,8 +43,8 @@ class Journal:
         """Time so far, scoring and earlier sessions of this run included."""
         return self._seconds_before + time.perf_counter() - self._started
 
-    def log(self, step: int, metrics: Metrics, shown: str = "", **more: Any) -> None:
-        """One line of metrics.jsonl, compilations since the last included; loss, PSNR and `shown` after the bar."""
+    def log(self, step: int, metrics: Metrics, suffix: str = "", **more: Any) -> None:
+        """One line of metrics.jsonl, compilations since the last included; loss, PSNR and `suffix` after the bar."""
         record = {
             "step": step,
             "loss": float(metrics.loss),
@@ -56,7 +56,7 @@ class Journal:
         if compiled := self._compilations.drain():
             record["compiled"] = compiled
         runs.append_metrics(self.run, record)
-        self.bar.set_postfix_str(f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB{shown}", refresh=False)
+        self.bar.set_postfix_str(f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB{suffix}", refresh=False)
 
     def save(self, step: int, state: Any, capacity: int) -> None:
         """A checkpoint; with capacity 0 a resumed run counts the pair buffer anew."""
@@ -82,17 +82,17 @@ def starting_point(
         warm_start: A run folder with a checkpoint, where a run that has none of its own begins.
         in_common: After so many steps the two part, so no later checkpoint will do.
     """
-    found = runs.latest_checkpoint(run)
-    if found is None and warm_start is not None:
-        found = runs.latest_checkpoint(warm_start, in_common)
+    newest = runs.latest_checkpoint(run)
+    if newest is None and warm_start is not None:
+        newest = runs.latest_checkpoint(warm_start, in_common)
         shutil.copyfile(warm_start / "metrics.jsonl", run / "metrics.jsonl")
-    if found is None:
+    if newest is None:
         start = StartingPoint(initial(None), None, 0.0)
     else:
-        stored = checkpoints.load(found[1], lambda arrays: _checkpoint(initial(_rows(found[1], arrays)), 0, 0.0))
+        stored = checkpoints.load(newest[1], lambda arrays: _checkpoint(initial(_rows(newest[1], arrays)), 0, 0.0))
         state, capacity, seconds = jax.tree.map(jnp.asarray, stored["state"]), stored["capacity"], stored["seconds"]
         if not (0 <= capacity < 2**31 and 0 <= seconds < np.inf and state.step >= 0):
-            raise InputError(f"{found[1]}: damaged checkpoint, its step, capacity or seconds are none")
+            raise InputError(f"{newest[1]}: damaged checkpoint, its step, capacity or seconds are none")
         start = StartingPoint(state, int(capacity) or None, float(seconds))
     runs.truncate_metrics(run, int(start.state.step))
     return start

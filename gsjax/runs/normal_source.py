@@ -97,9 +97,9 @@ class NormalSource:
         files = {name: self.folder / f"{place}.png" for name, place in map_places(frames).items()}
         missing = [frame for frame in frames if not files[frame.name].exists()]
         if missing:
-            maps = self._made(gaussians, frames, missing)
-            shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals", unit="view")
-            for frame, normals in shown:
+            maps = self._new_maps(gaussians, frames, missing)
+            bar = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals", unit="view")
+            for frame, normals in bar:
                 write_map(files[frame.name], normals)
         read = [self.keep(read_map(files[frame.name], frame)) for frame in frames]
         if not self.gated:
@@ -132,7 +132,9 @@ class NormalSource:
             return np.ones(len(frames))
         return np.array([share_compared(apart) for apart in stored_disagreements(self.folder, frames)])
 
-    def _made(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
+    def _new_maps(
+        self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]
+    ) -> Iterator[np.ndarray]:
         if self.given is not None:
             return self._foreign(gaussians, frames, missing)
         return map(self._of_stereo, missing) if self.stereo else self._own(gaussians, frames, missing)
@@ -170,8 +172,8 @@ class NormalSource:
             line = f"axes confirmed as in {self.network}'s record ({measured})"
         else:
             own, fault = self.network is None, "fits better" if clear else "is doubtful"
-            taken = f"taken as {written_axes(ours)}" if own else f"kept as in {self.network}'s record"
-            line, signs = f"axes {taken}: {guess} {fault} ({measured}); --normal-axes sets them", ours
+            decision = f"taken as {written_axes(ours)}" if own else f"kept as in {self.network}'s record"
+            line, signs = f"axes {decision}: {guess} {fault} ({measured}); --normal-axes sets them", ours
         self.notify(line)
         return signs
 
@@ -217,8 +219,8 @@ def read_map(file: Path, frame: Frame) -> np.ndarray:
     """
     pixels, _ = read_image(file)
     if pixels.shape[:2] != (frame.height, frame.width):
-        found = f"{pixels.shape[1]}x{pixels.shape[0]}"
-        raise InputError(f"{file}: normal map is {found}, its frame {frame.width}x{frame.height}")
+        size = f"{pixels.shape[1]}x{pixels.shape[0]}"
+        raise InputError(f"{file}: normal map is {size}, its frame {frame.width}x{frame.height}")
     return (pixels ^ np.uint8(128)).view(np.int8)  # value - 128, without leaving 8 bits
 
 

@@ -28,23 +28,23 @@ def require_apart(out: str | Path, *inputs: str | Path | None) -> None:
         InputError: It is; the message names both.
     """
     place = Path(os.path.realpath(out))
-    for given in inputs:
-        if given is not None and any(_is_part(place, read) for read in _read(Path(os.path.realpath(given)))):
-            raise InputError(f"{out}: is what is read from {given}; choose another place for the output")
+    for source in inputs:
+        if source is not None and any(_is_part(place, read) for read in _read(Path(os.path.realpath(source)))):
+            raise InputError(f"{out}: is what is read from {source}; choose another place for the output")
 
 
-def _read(given: Path) -> list[Path]:
+def _read(source: Path) -> list[Path]:
     """An input, and of a run its data set too."""
-    return [given, Path(os.path.realpath(Run(given).manifest["scene"]))] if is_run(given) else [given]
+    return [source, Path(os.path.realpath(Run(source).manifest["scene"]))] if is_run(source) else [source]
 
 
-def _is_part(out: Path, given: Path) -> bool:
-    if out == given or (out.is_file() and given.is_file() and out.samefile(given)):
+def _is_part(out: Path, source: Path) -> bool:
+    if out == source or (out.is_file() and source.is_file() and out.samefile(source)):
         return True
-    if not given.is_dir() or not out.is_relative_to(given):
+    if not source.is_dir() or not out.is_relative_to(source):
         return False
-    first, *inner = out.relative_to(given).parts
-    if is_run(given):
-        return first in (OF_RUN | OF_REFINEMENT if Run(given).is_refinement else OF_RUN)
+    first, *inner = out.relative_to(source).parts
+    if is_run(source):
+        return first in (OF_RUN | OF_REFINEMENT if Run(source).is_refinement else OF_RUN)
     is_read = first.startswith("transforms") or out.suffix.lower() in OF_DATA_SET
     return out.is_file() and (bool(inner) or is_read)

@@ -48,20 +48,20 @@ def with_moved_cameras(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> 
     return tuple(moves[frame.name].apply(frame) if frame.name in moves else frame for frame in frames)
 
 
-def write_photo_effects(run: Path, found: PhotoEffects) -> None:
+def write_photo_effects(run: Path, effects: PhotoEffects) -> None:
     """`effects.json`, `poses.json` and `background.json`, those of estimates that there are.
 
     Raises:
         InputError: A file cannot be written.
     """
-    if found.appearances:
-        json_files.write(run / FILE, {"photos": {name: look._asdict() for name, look in found.appearances.items()}})
-    if found.moves:
-        moves = _in_units(found.moves, read_similarity(run).length_to_world)
+    if effects.appearances:
+        json_files.write(run / FILE, {"photos": {name: look._asdict() for name, look in effects.appearances.items()}})
+    if effects.moves:
+        moves = _in_units(effects.moves, read_similarity(run).length_to_world)
         photos = {name: move._asdict() for name, move in moves.items()}
         json_files.write(run / POSES, {"about": _SAID, "photos": photos})
-    if found.background is not None:
-        json_files.write(run / BACKGROUND, {"about": _BEHIND, "sh": found.background})
+    if effects.background is not None:
+        json_files.write(run / BACKGROUND, {"about": _BEHIND, "sh": effects.background})
 
 
 def read_photo_effects(run: Path) -> PhotoEffects:

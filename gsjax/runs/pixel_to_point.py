@@ -45,17 +45,17 @@ def points_of_scene(scene: Scene) -> PointAt:
     def point_at(pixel: Pixel) -> np.ndarray:
         frame = frames[_name_of(pixel.photo, frames, scene.root)]
         ray = _ray(frame, *_pixel_of(frame, pixel, 1.0))
-        seen = tracks.photo == (tracks.names.index(frame.name) if frame.name in tracks.names else -1)
-        if not seen.any():
+        is_seen = tracks.photo == (tracks.names.index(frame.name) if frame.name in tracks.names else -1)
+        if not is_seen.any():
             raise InputError(f"{scene.root}: no triangulated point is seen in {frame.name}")
-        off = np.linalg.norm((tracks.rays[seen] - ray) * frame.K[[0, 1], [0, 1]], axis=1)
+        off = np.linalg.norm((tracks.rays[is_seen] - ray) * frame.K[[0, 1], [0, 1]], axis=1)
         nearest, most = int(off.argmin()), NEAR * max(frame.width, frame.height)
         if off[nearest] > most:
             raise InputError(
                 f"{pixel}: no triangulated point is seen within {most:.0f} pixels, the nearest is"
                 f" {off[nearest]:.0f} away; choose a pixel with more texture"
             )
-        point = scene.points[tracks.point[seen][nearest]]
+        point = scene.points[tracks.point[is_seen][nearest]]
         return _in_world(scene.similarity, frame, ray, float(frame.viewmat[2, :3] @ point + frame.viewmat[2, 3]))
 
     return point_at
@@ -87,19 +87,19 @@ def points_of_run(folder: Path) -> PointAt:
     return point_at
 
 
-def _name_of(given: str, names: Iterable[str], where: Path) -> str:
+def _name_of(photo: str, names: Iterable[str], where: Path) -> str:
     """The one photo that is meant."""
     paths = [PurePosixPath(name) for name in names]
     for meant in (
-        [path for path in paths if str(path) == given],
-        [path for path in paths if path.name == PurePosixPath(given).name],
-        [path for path in paths if path.stem == given],
+        [path for path in paths if str(path) == photo],
+        [path for path in paths if path.name == PurePosixPath(photo).name],
+        [path for path in paths if path.stem == photo],
     ):
         if len(meant) == 1:
             return str(meant[0])
         if meant:
-            raise InputError(f"{where}: {len(meant)} photos are called {given}: {', '.join(map(str, meant[:3]))}")
-    raise InputError(f"{where}: has no photo {given}; one is called {paths[0]}")
+            raise InputError(f"{where}: {len(meant)} photos are called {photo}: {', '.join(map(str, meant[:3]))}")
+    raise InputError(f"{where}: has no photo {photo}; one is called {paths[0]}")
 
 
 def _pixel_of(view: Frame | Camera, pixel: Pixel, downscale: float) -> tuple[float, float]:

@@ -41,14 +41,14 @@ def rescale_run(folder: Path, factor: float, place: Place) -> None:
     gaussians = load_gaussians(folder)
     means = factor * np.asarray(gaussians.means, np.float64)
     log_scales = np.asarray(gaussians.log_scales) + np.float32(np.log(factor))
-    views = [{**view, "viewmat": _stretched(view["viewmat"], factor)} for view in run.views]
+    views = [{**view, "viewmat": _stretched_viewmat(view["viewmat"], factor)} for view in run.views]
     with lock_folder(folder), replaced_files(folder) as new:
         json_files.write(new / "manifest.json", {**run.manifest, "similarity": asdict(similarity)})
         json_files.write(new / georeference_files.FILE, place.record())
         json_files.write(new / "cameras.json", views)
-        stretched = replace(gaussians, means=means, log_scales=log_scales)
+        stretched_gaussians = replace(gaussians, means=means, log_scales=log_scales)
         centers = viewmat_centers(np.array([view["viewmat"] for view in views], np.float64).reshape(-1, 4, 4))
-        write_gaussians(new / "gaussians.ply", stretched, place, cameras=centers)
+        write_gaussians(new / "gaussians.ply", stretched_gaussians, place, cameras=centers)
         if (folder / POSES).exists():
             json_files.write(new / POSES, _stretched_moves(json_files.read(folder / POSES), factor))
         for name in MESHES:
@@ -56,7 +56,7 @@ def rescale_run(folder: Path, factor: float, place: Place) -> None:
                 _write_stretched_mesh(folder / name, new / name, factor, place)
 
 
-def _stretched(viewmat: list, factor: float) -> np.ndarray:
+def _stretched_viewmat(viewmat: list, factor: float) -> np.ndarray:
     matrix = np.array(viewmat, np.float64)
     matrix[:3, 3] *= factor
     return matrix

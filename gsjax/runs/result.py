@@ -168,13 +168,13 @@ def training_pictures(
     Raises:
         InputError: There is no training view; or, as the pictures are drawn, a mask cannot be used.
     """
-    chosen = [index for index, held_out in enumerate(result.held_out) if not held_out]
-    if not chosen:
+    indices = [index for index, held_out in enumerate(result.held_out) if not held_out]
+    if not indices:
         raise InputError(f"{result.source}: has no training views to look from")
-    cameras = [result.cameras[index] for index in chosen]
-    drawn = gallery.pictures(gaussians, cameras, background, result.depth_mode, with_owners=with_owners)
-    pictures = tqdm(drawn, total=len(cameras), desc="views", unit="view", delay=QUIET)
-    return cameras, gallery.mask_pictures(pictures, (result.valid[index]() for index in chosen))
+    cameras = [result.cameras[index] for index in indices]
+    views = gallery.pictures(gaussians, cameras, background, result.depth_mode, with_owners=with_owners)
+    pictures = tqdm(views, total=len(cameras), desc="views", unit="view", delay=QUIET)
+    return cameras, gallery.mask_pictures(pictures, (result.valid[index]() for index in indices))
 
 
 def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = None) -> Scene:
@@ -251,6 +251,6 @@ def _read_mask(run: Path, record: dict[str, Any]) -> np.ndarray | None:
         return None
     valid = read_mask(run / name) > 127
     if valid.shape != (record["height"], record["width"]):
-        found = f"{valid.shape[1]}x{valid.shape[0]}"
-        raise InputError(f"{run / name}: mask is {found} but its view {record['width']}x{record['height']}")
+        size = f"{valid.shape[1]}x{valid.shape[0]}"
+        raise InputError(f"{run / name}: mask is {size} but its view {record['width']}x{record['height']}")
     return valid

@@ -38,9 +38,9 @@ def cameras_around(gaussians: Gaussians) -> tuple[Camera, ...]:
         lambda size: _looking_in(middle, float(close), size),
         lambda size: _looking_out(middle, float(0.1 * np.median(radii)), size),
     ]
-    seen = [_count_seen(gaussians, means, radii, place(PROBE_SIZE)) for place in places]
-    best = int(np.argmax(seen))
-    return places[best if seen[best] > MUCH_BETTER * seen[0] else 0](SIZE)
+    counts = [_count_seen(gaussians, means, radii, place(PROBE_SIZE)) for place in places]
+    best = int(np.argmax(counts))
+    return places[best if counts[best] > MUCH_BETTER * counts[0] else 0](SIZE)
 
 
 def _spread(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -140,9 +140,9 @@ class Page:
         if has_gaussians:
             self._status = gui.add_markdown("The first picture of a kind and size takes longest.")
             first = COLOR if self._news is None else BY_BROWSER
-            shown = (COLOR, BY_BROWSER, DEPTH, NORMALS)
+            kinds = (COLOR, BY_BROWSER, DEPTH, NORMALS)
             self.switches |= {
-                SHOW: gui.add_dropdown(SHOW, shown, initial_value=first),
+                SHOW: gui.add_dropdown(SHOW, kinds, initial_value=first),
                 SIDE: gui.add_dropdown(SIDE, LONGEST, initial_value="960"),
             }
             for switch in self.switches.values():
@@ -203,8 +203,8 @@ class Page:
             self._say(str(error))
             return
         if request.is_full:
-            shown = f"{camera.width}x{camera.height} in {1e3 * (time.perf_counter() - started):.0f} ms"
-            self._say(", ".join(filter(None, (shown, self._line))))
+            timing = f"{camera.width}x{camera.height} in {1e3 * (time.perf_counter() - started):.0f} ms"
+            self._say(", ".join(filter(None, (timing, self._line))))
         _send(client, picture, "png" if request.is_full else "jpeg")
 
     def _say(self, line: str) -> None:

@@ -30,8 +30,8 @@ def picture_size(page: PageCamera, longest: int) -> tuple[int, int]:
         page: Its width and height count; a page without an area is square.
         longest: About how many pixels the longer side has.
     """
-    wanted = page.width / page.height if page.width > 0 and page.height > 0 else 1.0
-    aspect = ASPECTS[np.argmin(np.abs(np.log(ASPECTS) - np.log(wanted)))]
+    page_aspect = page.width / page.height if page.width > 0 and page.height > 0 else 1.0
+    aspect = ASPECTS[np.argmin(np.abs(np.log(ASPECTS) - np.log(page_aspect)))]
     width, height = longest * min(1.0, aspect), longest * min(1.0, 1 / aspect)
     return max(BLOCK, round(width / BLOCK) * BLOCK), max(BLOCK, round(height / BLOCK) * BLOCK)
 

@@ -56,13 +56,13 @@ class Scenery:
         for name in add:
             self._set_visible(f"/mesh/{name}", name == choice)
 
-    def show_cameras(self, shown: bool) -> None:
+    def show_cameras(self, visible: bool) -> None:
         """Show or hide all cameras; they are added one by one at first."""
-        if shown and self._scene.get_handle_by_name("/cameras") is None:
+        if visible and self._scene.get_handle_by_name("/cameras") is None:
             self._scene.add_frame("/cameras", show_axes=False)
             for index, name in enumerate(self._viewed.cameras):
                 self._soon(partial(self._add_camera, index, name))
-        self._set_visible("/cameras", shown)
+        self._set_visible("/cameras", visible)
 
     def _add_mesh_colors(self) -> None:
         if self._viewed.mesh is not None:

@@ -63,8 +63,10 @@ def open_viewed_scene(
             raise InputError(f"{source}: is a mesh itself; --mesh goes with Gaussians")
         return _of_mesh(source)
     if not source.name.lower().endswith(tuple(FORMATS)):
-        known = ", ".join(FORMATS), ", ".join(SUFFIXES)
-        raise InputError(f"{source}: is no run folder, and no file of Gaussians ({known[0]}) or of a mesh ({known[1]})")
+        suffixes = ", ".join(FORMATS), ", ".join(SUFFIXES)
+        raise InputError(
+            f"{source}: is no run folder, and no file of Gaussians ({suffixes[0]}) or of a mesh ({suffixes[1]})"
+        )
     result = _opened(source)
     return ViewedScene(
         source.name,

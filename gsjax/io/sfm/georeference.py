@@ -121,11 +121,15 @@ def place_model(model: Any, photos: Sequence[SourcePhoto]) -> Georeference:
         The place of the moved model, whose coordinates are the world's.
     """
     numbers = sorted(model.reg_image_ids())
-    taken = [photos[number - 1] for number in numbers]
+    registered_photos = [photos[number - 1] for number in numbers]
     poses = [model.image(number).cam_from_world().matrix() for number in numbers]
-    viewmats = np.stack([turned_pose(pose, photo.to_upright) for pose, photo in zip(poses, taken, strict=True)])
-    level = up_by_gravity(viewmats, [photo.gravity for photo in taken])
-    fitted = georeference(viewmats, [photo.fix if isinstance(photo.fix, Fix) else None for photo in taken], level)
+    viewmats = np.stack(
+        [turned_pose(pose, photo.to_upright) for pose, photo in zip(poses, registered_photos, strict=True)]
+    )
+    level = up_by_gravity(viewmats, [photo.gravity for photo in registered_photos])
+    fitted = georeference(
+        viewmats, [photo.fix if isinstance(photo.fix, Fix) else None for photo in registered_photos], level
+    )
     if level is not None and not fitted.place.is_known:
         upright = Place().turned(turn_upright(level.direction))
         fitted = fitted._replace(place=upright, summary=f"{fitted.summary}; upright by {level.source}")
@@ -198,8 +202,8 @@ def _level(upright: np.ndarray, has_heights: np.ndarray) -> Fit:
         rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ upright
         shift = world[rows].mean(0) - scale * model[rows].mean(0) @ rotation.T
         heights = scale * model @ rotation[2]
-        known = rows[has_heights[rows]]
-        shift[2] = np.median((world[:, 2] - heights)[known]) if len(known) else -np.median(heights)
+        with_height = rows[has_heights[rows]]
+        shift[2] = np.median((world[:, 2] - heights)[with_height]) if len(with_height) else -np.median(heights)
         return _Motion(scale, rotation, shift)
 
     return fit

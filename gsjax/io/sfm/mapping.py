@@ -46,15 +46,15 @@ def match_photos(material: Material, progress: Progress) -> tuple[dict[Pair, Any
         The geometry (`pycolmap.TwoViewGeometry`) of the pairs that match, and all pairs that were tried.
     """
     fixes = [photo.fix if isinstance(photo.fix, Fix) else None for photo in material.photos]
-    tried = choose_pairs(material.scores) | nearby_pairs(fixes)
-    geometries = match_pairs(material, tried, "matching", progress)
+    pairs = choose_pairs(material.scores) | nearby_pairs(fixes)
+    geometries = match_pairs(material, pairs, "matching", progress)
     for _ in range(_BRIDGING_ROUNDS):
-        more = bridging_pairs(material.scores, geometries, tried)
+        more = bridging_pairs(material.scores, geometries, pairs)
         if not more:
             break
         geometries |= match_pairs(material, more, "matching the rest", progress)
-        tried |= more
-    return geometries, tried
+        pairs |= more
+    return geometries, pairs
 
 
 def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Progress) -> dict[Pair, Any]:
@@ -107,7 +107,7 @@ def map_photos(material: Material, workspace: Path, progress: Progress) -> tuple
     Raises:
         InputError: No two photos give a model.
     """
-    geometries, tried = match_photos(material, progress)
+    geometries, pairs = match_photos(material, progress)
     models = _map(material, geometries, workspace / "first", None, progress)
     if not models:
         matched = len({photo for pair in geometries for photo in pair})
@@ -118,10 +118,10 @@ def map_photos(material: Material, workspace: Path, progress: Progress) -> tuple
     model = max(models, key=lambda model: (model.num_reg_images(), model.num_points3D()))
     inside = _registered(model)
     outside = {photo for pair in geometries for photo in pair} - inside
-    more = likeliest_pairs(material.scores, outside, inside, tried) if outside else set()
-    if more and (found := match_pairs(material, more, "matching the rest", progress)):
+    more = likeliest_pairs(material.scores, outside, inside, pairs) if outside else set()
+    if more and (new_geometries := match_pairs(material, more, "matching the rest", progress)):
         write_whole(model, workspace / "largest")
-        again = _map(material, geometries | found, workspace / "second", workspace / "largest", progress)
+        again = _map(material, geometries | new_geometries, workspace / "second", workspace / "largest", progress)
         model = max([model, *again], key=lambda model: model.num_reg_images())
     _self_calibrate(model)
     return model, _reasons(material, geometries, models, model)

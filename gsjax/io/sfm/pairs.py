@@ -63,25 +63,27 @@ def nearby_pairs(fixes: Sequence[Fix | None]) -> set[Pair]:
     return {(min(pair), max(pair)) for pair in pairs}
 
 
-def likeliest_pairs(scores: np.ndarray, photos: Iterable[int], among: Iterable[int], tried: set[Pair]) -> set[Pair]:
-    """Return for each of `photos` the pairs with those `among` others that are most like it, without pairs `tried`."""
+def likeliest_pairs(scores: np.ndarray, photos: Iterable[int], among: Iterable[int], attempts: set[Pair]) -> set[Pair]:
+    """Return for each of `photos` the pairs with those `among` others most like it, without those of `attempts`."""
     among = np.fromiter(among, np.int64)
-    chosen = set()
+    pairs = set()
     for i in photos:
         ranked = among[np.argsort(-scores[i, among], kind="stable")]
-        new = [pair for j in ranked.tolist() if i != j and (pair := (min(i, j), max(i, j))) not in tried]
-        chosen |= set(new[:_PARTNERS])
-    return chosen
+        new = [pair for j in ranked.tolist() if i != j and (pair := (min(i, j), max(i, j))) not in attempts]
+        pairs |= set(new[:_PARTNERS])
+    return pairs
 
 
-def bridging_pairs(scores: np.ndarray, matched: Iterable[Pair], tried: set[Pair]) -> set[Pair]:
+def bridging_pairs(scores: np.ndarray, matched: Iterable[Pair], attempts: set[Pair]) -> set[Pair]:
     """Return pairs that may join connected parts: photos outside the largest part, with those of other parts."""
     parts = connected_parts(len(scores), matched)
     largest = np.bincount(parts).argmax()
-    chosen = set()
+    pairs = set()
     for part in np.unique(parts[parts != largest]):
-        chosen |= likeliest_pairs(scores, np.flatnonzero(parts == part).tolist(), np.flatnonzero(parts != part), tried)
-    return chosen
+        pairs |= likeliest_pairs(
+            scores, np.flatnonzero(parts == part).tolist(), np.flatnonzero(parts != part), attempts
+        )
+    return pairs
 
 
 def connected_parts(count: int, matched: Iterable[Pair]) -> np.ndarray:

@@ -139,8 +139,8 @@ def usable_photos(folder: Path) -> tuple[list[SourcePhoto], list[Fault]]:
     beside = _masks_beside(pictures)
     files = {name: file for name, file in pictures.items() if file not in beside.values()}
     if len(files) < 2:
-        made = "".join(f"; what {path} holds was made of photos" for path in sorted(_made(root))[:1])
-        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(files)}{made}")
+        hint = "".join(f"; what {path} holds was made of photos" for path in sorted(_derived_folders(root))[:1])
+        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(files)}{hint}")
     masks = {**_masks_in_folders(root, files), **beside}
 
     def read(name: str) -> SourcePhoto:
@@ -204,11 +204,14 @@ def _is_panoramic(photo: SourcePhoto) -> bool:
 def unused_files(folder: Path) -> dict[str, str]:
     """Return by name why other files of a folder are not photos; hidden ones are left out."""
     root = _photo_folder(folder)
-    made = {path.relative_to(root).as_posix(): "was made of photos, by this program or another" for path in _made(root)}
+    derived_folders = {
+        path.relative_to(root).as_posix(): "was made of photos, by this program or another"
+        for path in _derived_folders(root)
+    }
     others = [file for file in _files(root) if not _is_photo(file)]
     endings = {file: file.suffix.lower() or "no ending" for file in others}
     unread = {f.relative_to(root).as_posix(): f"{endings[f]} is no format of photos that is read" for f in others}
-    return dict(sorted(made.items())) | unread
+    return dict(sorted(derived_folders.items())) | unread
 
 
 def _photo_folder(folder: Path) -> Path:
@@ -218,18 +221,20 @@ def _photo_folder(folder: Path) -> Path:
 
 def _files(root: Path) -> list[Path]:
     """List all files but hidden ones, masks, and derived pictures."""
-    others = _made(root) | {path for path in root.rglob("*") if path.name.casefold() in _MASKS and path.is_dir()}
+    others = _derived_folders(root) | {
+        path for path in root.rglob("*") if path.name.casefold() in _MASKS and path.is_dir()
+    }
     files = [file for file in root.rglob("*") if os.path.isfile(file) and others.isdisjoint(file.parents)]
     return sorted(f for f in files if not any(part.startswith(".") for part in f.relative_to(root).parts))
 
 
 def _mask_folders(place: Path) -> list[Path]:
     """List the folders of masks in a folder, the most usual name first."""
-    found = [path for path in place.glob("*") if path.name.casefold() in _MASKS and path.is_dir()]
-    return sorted(found, key=lambda path: (_MASKS.index(path.name.casefold()), path))
+    folders = [path for path in place.glob("*") if path.name.casefold() in _MASKS and path.is_dir()]
+    return sorted(folders, key=lambda path: (_MASKS.index(path.name.casefold()), path))
 
 
-def _made(root: Path) -> set[Path]:
+def _derived_folders(root: Path) -> set[Path]:
     """Return the folders within that hold a data set, a run or a scan, or have a name of derived pictures."""
     called_so = {path for path in root.rglob("*") if path.name.casefold() in _OTHERS and path.is_dir()}
     return called_so | {path.parent for name in _MADE for path in root.rglob(name)} - {root}

@@ -103,13 +103,13 @@ def _content(path: Path) -> _Content:
 
 def _statements(text: bytes) -> Iterator[tuple[int, list[bytes]]]:
     """Number and words of each line that has some, without comments; lines that a backslash continues are one."""
-    begun = b""
+    prefix = b""
     for number, line in enumerate(BytesIO(text), 1):
         if b"\\" in line and line.rstrip().endswith(b"\\"):
-            begun += line.rstrip()[:-1] + b" "
+            prefix += line.rstrip()[:-1] + b" "
             continue
-        words = (begun + line).split()
-        begun = b""
+        words = (prefix + line).split()
+        prefix = b""
         if b"#" in line and words[0] in (b"v", b"vt", b"f"):
             words = words[: next((at for at, word in enumerate(words) if word.startswith(b"#")), None)]
         if words:
