@@ -99,9 +99,9 @@ def table(done: Mapping[str, Rounds]) -> str:
             mark = "yes" if front.get(label) else ""
             lines.append(f"| {name} | {label} | {_spread(ratios(rounds, label))} | {every} | {mark} |")
     about = {**machine(), **versions()}
-    told = ", ".join(f"{key} {about[key]}" for key in ("cpu", "cores", "jax", "commit") if about.get(key))
+    environment = ", ".join(f"{key} {about[key]}" for key in ("cpu", "cores", "jax", "commit") if about.get(key))
     most = max(len(rounds) for rounds in done.values())
-    return "\n".join([*lines, "", f"Up to {most} rounds; seconds as ratios within a round; {told}.", ""])
+    return "\n".join([*lines, "", f"Up to {most} rounds; seconds as ratios within a round; {environment}.", ""])
 
 
 def _spread(values: np.ndarray) -> str:
@@ -138,9 +138,9 @@ def draw(file: Path, done: Mapping[str, Rounds]) -> None:
         x, y = np.median(times, 1), np.median(off, 1)
         panel.axvspan(ratios(rounds, AGAIN).min(), ratios(rounds, AGAIN).max(), color="0.9", zorder=0)
         panel.errorbar(x, y, xerr=_arms(times, x), yerr=_arms(off, y), fmt="o", color="0.35", ms=4, lw=0.8, capsize=2)
-        kept = [i for i, is_on in enumerate(on_front(list(zip(x, y, strict=True)))) if is_on]
-        kept.sort(key=lambda i: x[i])
-        panel.plot(x[kept], y[kept], "-", color="tab:red", lw=1.2, zorder=1)
+        front = [i for i, is_on in enumerate(on_front(list(zip(x, y, strict=True)))) if is_on]
+        front.sort(key=lambda i: x[i])
+        panel.plot(x[front], y[front], "-", color="tab:red", lw=1.2, zorder=1)
         for turn, i in enumerate(np.lexsort((y, x))):
             # Above and below in turn: neighbours along the axis of time do not write over each other.
             beside = {"xytext": (4, 4)} if turn % 2 == 0 else {"xytext": (4, -4), "va": "top"}
@@ -171,8 +171,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of every setting (default: 3)")
     parser.add_argument("--share", type=float, default=1.0, help="of the config's steps, in every run (default: 1)")
     arguments = parser.parse_args()
-    asked = arguments.settings, arguments.rounds, arguments.share, arguments.config
-    print(table(run(arguments.scene, arguments.out, *asked)))
+    options = arguments.settings, arguments.rounds, arguments.share, arguments.config
+    print(table(run(arguments.scene, arguments.out, *options)))
 
 
 if __name__ == "__main__":

@@ -85,8 +85,8 @@ def run(
             done = folder / "study.json"
             if not done.exists():
                 print(f"== {folder.name}", flush=True)
-                asked = config.merge(described.config, _placed(change, scene), {"seed": seed})
-                _train(scene, folder, config.parse(Settings, asked, where=variant), seconds)
+                settings = config.merge(described.config, _placed(change, scene), {"seed": seed})
+                _train(scene, folder, config.parse(Settings, settings, where=variant), seconds)
                 json_files.write(done, _figures(folder, described.evaluated))
             figures, floor = json_files.read(done)
             every.setdefault(variant, []).append(figures)
@@ -116,8 +116,8 @@ def _figures(folder: Path, options: Mapping[str, Any]) -> tuple[dict[str, Any], 
     figures = pipeline.evaluate(folder, **options)
     last = runs.read_metrics(folder)[-20:]
     aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]
-    wanted = [*FIGURES, *(f"{score}_{way}" for score in ("psnr", "ssim") for way in WAYS)]
-    scores, floor = ({key: f[key] for key in wanted if key in f} for f in (figures, figures.get("floor", {})))
+    keys = [*FIGURES, *(f"{score}_{way}" for score in ("psnr", "ssim") for way in WAYS)]
+    scores, floor = ({key: f[key] for key in keys if key in f} for f in (figures, figures.get("floor", {})))
     return scores | ({"mean_cos": np.mean(aligned)} if aligned else {}), floor
 
 
@@ -137,9 +137,9 @@ def main() -> None:
     parser.add_argument("--on", choices=CONFIGS, metavar="CONFIG", help="of configs.py (default: the study's own)")
     parser.add_argument("--seeds", type=parsers.count, default=1, metavar="N", help="runs of each variant (default: 1)")
     parser.add_argument("--budget", metavar="TIME", help="of every run, as in 10m (default: the study's steps)")
-    given = parser.parse_args()
-    seconds = None if given.budget is None else parsers.seconds(given.budget)
-    every = run(given.study, given.scene, given.out, given.seeds, on=given.on, seconds=seconds)
+    arguments = parser.parse_args()
+    seconds = None if arguments.budget is None else parsers.seconds(arguments.budget)
+    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, on=arguments.on, seconds=seconds)
     print(tables.compare({variant: tables.spread(rows) for variant, rows in every.items()}))
 
 

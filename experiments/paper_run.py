@@ -39,8 +39,8 @@ def run_settings(scene: str, schedule: str, seed: int, assignments: Sequence[str
     preset, refined = SCHEDULES[schedule].refinement, None
     if preset:
         # The published rows are of Gaussians on the mesh alone.
-        chosen = {**PRESETS[preset], "seed": seed, "keep_free": False}
-        whole = config.to_dict(config.parse(Refinement, chosen))
+        options = {**PRESETS[preset], "seed": seed, "keep_free": False}
+        whole = config.to_dict(config.parse(Refinement, options))
         refined = config.to_dict(config.parse(Refinement, config.override(whole, refinement), where="--refine"))
     settings = config.to_dict(settings_of(scene, schedule, seed, assignments))
     return {"settings": settings, "refinement": refined, "mesh": dict(PAPER_MESH)}
@@ -56,9 +56,9 @@ def read_result(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = 
     if not file.exists():
         return {"asked": dict(wishes)}
     result = json_files.read(file)
-    for part, wanted in wishes.items():
+    for part, wish in wishes.items():
         before = result["asked"].get(part) or {}
-        for key, value in (wanted or {}).items():
+        for key, value in (wish or {}).items():
             if before.get(key) != value:
                 raise InputError(f"{folder}: was begun with another {part}.{key}; choose another folder with --out")
     if lpips and result.get("lpips") != list(lpips):
@@ -190,12 +190,12 @@ def _keep_those_of(earlier: Path, file: Path, settings: Settings) -> None:
     from gsjax.runs.result import open_result
     from gsjax.runs.run import Run
 
-    begin, kept = _regularised_from(settings), earlier.parent / file.name
+    begin, earlier_file = _regularised_from(settings), earlier.parent / file.name
     theirs = config.parse(Settings, runs.read_settings(earlier), where=f"{earlier}/config.json")
     if Run.open(earlier).manifest.get("steps") == begin:
         write_gaussians(file, open_result(earlier).gaussians)
-    elif kept.exists() and _regularised_from(theirs) == begin:
-        shutil.copyfile(kept, file)
+    elif earlier_file.exists() and _regularised_from(theirs) == begin:
+        shutil.copyfile(earlier_file, file)
 
 
 def _regularised_from(settings: Settings) -> int:

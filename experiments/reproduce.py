@@ -80,18 +80,18 @@ def reproduce(
     Raises:
         InputError: Nothing of the paper is under `root`, an option is wrong, or a run was begun with others.
     """
-    found, faults = discover(root)
+    folders, faults = discover(root)
     for fault in faults:
         print(f"reproduce: {fault}", file=sys.stderr)
     jobs = [
         Job(scene, data, run_folder(out, scene, schedule, seed), schedule, seed)
         for seed in range(seeds)
-        for scene, data in found.items()
+        for scene, data in folders.items()
         for schedule in SCHEDULES
         if schedule in schedules
     ]
     waiting = [job for job in jobs if not _is_done(job, options)]  # Wrong options are an error before the first run.
-    print(f"reproduce: {len(jobs)} runs of {', '.join(found)}; {len(jobs) - len(waiting)} are done", file=sys.stderr)
+    print(f"reproduce: {len(jobs)} runs of {', '.join(folders)}; {len(jobs) - len(waiting)} are done", file=sys.stderr)
     failed = []
     for job in waiting:
         code = (start or in_own_process)(job, options)
@@ -130,24 +130,24 @@ def write_tables(out: Path, schedules: Iterable[str]) -> None:
     """OUT/tables.md and .csv of all runs in the folder; the asked schedules have rows even without any."""
     from gsjax.io.files import atomic_path
 
-    found = found_runs(out)
-    names = methods({*schedules, *(schedule for _, schedule, _, _ in found)})
-    made = report.tables(measurements(found), names, remarks(found))
+    results = found_runs(out)
+    names = methods({*schedules, *(schedule for _, schedule, _, _ in results)})
+    tables = report.tables(measurements(results), names, remarks(results))
     for suffix, text in (("md", report.markdown), ("csv", report.comma_separated)):
         with atomic_path(Path(out) / f"tables.{suffix}") as temporary:
-            temporary.write_text(text(made), encoding="utf-8")
+            temporary.write_text(text(tables), encoding="utf-8")
 
 
-def remarks(found: Iterable[tuple[str, str, int, dict[str, Any]]]) -> dict[str, str]:
+def remarks(results: Iterable[tuple[str, str, int, dict[str, Any]]]) -> dict[str, str]:
     """What a reader of a scene's figures must know: which normals, and whether densification was limited."""
-    said: dict[str, list[str]] = {}
-    for scene, schedule, seed, result in found:
-        lines, trained = said.setdefault(scene, []), result.get("train", {})
+    notes: dict[str, list[str]] = {}
+    for scene, schedule, seed, result in results:
+        lines, trained = notes.setdefault(scene, []), result.get("train", {})
         if SCHEDULES[schedule].regulariser == R and trained and trained.get("normals") is None:
             lines.append("R with the run's own smoothed normals, not with a network's (the paper: Omnidata)")
         if trained.get("cap_bound"):
             lines.append(f"{schedule}, seed {seed}: limited to {trained['max_gaussians']:,} Gaussians")
-    return {scene: f"{scene}: {'; '.join(dict.fromkeys(lines))}." for scene, lines in said.items() if lines}
+    return {scene: f"{scene}: {'; '.join(dict.fromkeys(lines))}." for scene, lines in notes.items() if lines}
 
 
 def by_scene(groups: Iterable[Sequence[str]]) -> dict[str, list[str]]:
@@ -156,12 +156,12 @@ def by_scene(groups: Iterable[Sequence[str]]) -> dict[str, list[str]]:
     Raises:
         InputError: There is no such scene.
     """
-    found: dict[str, list[str]] = {}
+    settings: dict[str, list[str]] = {}
     for name, *assignments in groups:
         if name not in SCENES:
             raise InputError(f"--set-scene {name}: none of {', '.join(SCENES)}")
-        found.setdefault(name, []).extend(assignments)
-    return found
+        settings.setdefault(name, []).extend(assignments)
+    return settings
 
 
 def main() -> None:

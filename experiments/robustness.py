@@ -24,23 +24,23 @@ def measured(part: Part, file: Path, folder: Path, until: float, only: Sequence[
 
     Only rows are measured that have one of the words `only` in their names.
     """
-    kept: dict[str, list[list[str]]] = json.loads(file.read_text()) if file.exists() else {}
+    record: dict[str, list[list[str]]] = json.loads(file.read_text()) if file.exists() else {}
     rows = part.rows(folder)
-    for tried, measurements in rows.items():
-        done = kept.setdefault(tried, [])
-        wanted = any(word in tried for word in only)
-        for measure in measurements[len(done) :] if wanted else ():
+    for name, measurements in rows.items():
+        done = record.setdefault(name, [])
+        is_selected = any(word in name for word in only)
+        for measure in measurements[len(done) :] if is_selected else ():
             if time.monotonic() > until:
                 break
             done.append(measure())
-            file.write_text(json.dumps(kept, indent=1))
-            print(f"{tried}: {', '.join(done[-1])}", file=sys.stderr)
-    return {tried: sum(kept[tried], []) for tried in rows if len(kept[tried]) == len(rows[tried])}
+            file.write_text(json.dumps(record, indent=1))
+            print(f"{name}: {', '.join(done[-1])}", file=sys.stderr)
+    return {name: sum(record[name], []) for name in rows if len(record[name]) == len(rows[name])}
 
 
 def table(part: Part, rows: dict[str, list[str]]) -> str:
     """As Markdown."""
-    lines = [part.columns, ["---"] * len(part.columns), *([tried, *cells] for tried, cells in rows.items())]
+    lines = [part.columns, ["---"] * len(part.columns), *([name, *cells] for name, cells in rows.items())]
     return f"## {part.title}\n\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
@@ -51,15 +51,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder to work in")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no row after so many")
     parser.add_argument("--only", metavar="WORD", nargs="+", default=[""], help="measure rows with a word in the name")
-    given = parser.parse_args()
-    unknown = [name for name in given.parts if name not in PARTS]
+    arguments = parser.parse_args()
+    unknown = [name for name in arguments.parts if name not in PARTS]
     if unknown:
         parser.error(f"no part {unknown[0]}; there are {', '.join(PARTS)}")
-    until = time.monotonic() + 60 * given.minutes
-    folder = given.out.resolve()
+    until = time.monotonic() + 60 * arguments.minutes
+    folder = arguments.out.resolve()
     folder.mkdir(parents=True, exist_ok=True)
-    for name in given.parts or PARTS:
-        print(table(PARTS[name], measured(PARTS[name], folder / f"{name}.json", folder, until, given.only)), flush=True)
+    for name in arguments.parts or PARTS:
+        print(
+            table(PARTS[name], measured(PARTS[name], folder / f"{name}.json", folder, until, arguments.only)),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

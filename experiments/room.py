@@ -78,19 +78,19 @@ def read_truth(room: str | Path) -> Truth:
     return Truth(mesh, {Path(name).stem: np.array(pose) for name, pose in poses.items()})
 
 
-def meshes_of(given: str | Path) -> list[Path]:
+def meshes_of(source: str | Path) -> list[Path]:
     """The mesh files that an argument means.
 
     Raises:
         InputError: It is no mesh, and holds none.
     """
-    path = Path(given)
+    path = Path(source)
     if path.is_file():
         return [path]
-    found = [file for file in (path / "mesh.ply", path / "run/mesh.ply", path / "refined/mesh.ply") if file.is_file()]
-    if not found:
-        raise InputError(f"{given}: neither a mesh nor a folder of a run with a mesh.ply")
-    return found
+    files = [file for file in (path / "mesh.ply", path / "run/mesh.ply", path / "refined/mesh.ply") if file.is_file()]
+    if not files:
+        raise InputError(f"{source}: neither a mesh nor a folder of a run with a mesh.ply")
+    return files
 
 
 def similarity(points: np.ndarray, targets: np.ndarray) -> Alignment:
@@ -133,18 +133,18 @@ def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
 
     from gsjax.metrics.geometry import sample_surface
 
-    points, found = sample_surface(mesh, DENSE_MESH, 0)[0], start
+    points, alignment = sample_surface(mesh, DENSE_MESH, 0)[0], start
     tree = KDTree(points)
     for _ in range(ROUNDS):
-        distances, nearest = tree.query(found.back(targets), workers=-1)
-        distances = distances * found.scale
+        distances, nearest = tree.query(alignment.back(targets), workers=-1)
+        distances = distances * alignment.scale
         near = (distances < max(WITHIN, 2 * float(np.median(distances)))) & (distances < FARTHEST)
         if near.sum() < 4:
             raise InputError("the mesh lies nowhere near the truth after its cameras were aligned")
-        before, found = found, similarity(points[np.asarray(nearest)[near]], targets[near])
-        if np.abs(found(before.back(targets)) - targets).max() < AT_REST:
+        before, alignment = alignment, similarity(points[np.asarray(nearest)[near]], targets[near])
+        if np.abs(alignment(before.back(targets)) - targets).max() < AT_REST:
             break
-    return found
+    return alignment
 
 
 def scores(mesh: Mesh, truth: Truth, *, seed: int = 1) -> dict[str, float]:
@@ -158,21 +158,21 @@ def scores(mesh: Mesh, truth: Truth, *, seed: int = 1) -> dict[str, float]:
     to_truth, there = nearest(points[counted], true_points)
     to_mesh, _ = nearest(sample_surface(truth.mesh, TRUTH_POINTS, 2)[0], sample_surface(mesh, DENSE_MESH, 3)[0])
     cosines = np.abs(np.sum(normals[counted] * true_normals[there], -1))
-    found = {"accuracy_cm": 100 * float(np.median(to_truth)), "completeness_cm": 100 * float(np.median(to_mesh))}
+    figures = {"accuracy_cm": 100 * float(np.median(to_truth)), "completeness_cm": 100 * float(np.median(to_mesh))}
     for limit in CENTIMETRES:
         precision, recall = ((distances < limit / 100).mean() for distances in (to_truth, to_mesh))
-        found[f"F{limit}"] = float(2 * precision * recall / max(precision + recall, 1e-12))
-    return found | {"normal_error_deg": float(np.degrees(np.arccos(np.minimum(cosines, 1))).mean())}
+        figures[f"F{limit}"] = float(2 * precision * recall / max(precision + recall, 1e-12))
+    return figures | {"normal_error_deg": float(np.degrees(np.arccos(np.minimum(cosines, 1))).mean())}
 
 
 def _measured(points: np.ndarray, truth: Truth) -> np.ndarray:
     """`[P]` bool: in the sensor's field and range from one of the truth's cameras at least."""
-    seen = np.zeros(len(points), bool)
+    in_view = np.zeros(len(points), bool)
     for pose in truth.poses.values():
         x, y, z = ((points - pose[:3, 3]) @ pose[:3, :3]).T
         ahead = (z > NEAR) & (z < FAR)
-        seen |= ahead & (np.abs(x) < HALF_FIELD[0] * z) & (np.abs(y) < HALF_FIELD[1] * z)
-    return seen
+        in_view |= ahead & (np.abs(x) < HALF_FIELD[0] * z) & (np.abs(y) < HALF_FIELD[1] * z)
+    return in_view
 
 
 def moved(mesh: Mesh, by: Alignment) -> Mesh:
@@ -180,7 +180,7 @@ def moved(mesh: Mesh, by: Alignment) -> Mesh:
     return Mesh(by(mesh.vertices.astype(np.float64)), mesh.faces, mesh.colors)
 
 
-def run(given: Sequence[str], room: str, place: str | None = None) -> dict[str, dict[str, float]]:
+def run(sources: Sequence[str], room: str, place: str | None = None) -> dict[str, dict[str, float]]:
     """The scores of all meshes by their file, and of the floor; the truth where the first mesh lies goes to `place`.
 
     Raises:
@@ -191,20 +191,20 @@ def run(given: Sequence[str], room: str, place: str | None = None) -> dict[str, 
 
     truth = read_truth(room)
     targets = sample_surface(truth.mesh, TRUTH_POINTS, 2)[0]
-    found: dict[str, dict[str, float]] = {}
+    figures: dict[str, dict[str, float]] = {}
     misplaced = truth.mesh
-    for file in tqdm([file for each in given for file in meshes_of(each)], desc="meshes", unit="mesh", leave=False):
+    for file in tqdm([file for each in sources for file in meshes_of(each)], desc="meshes", unit="mesh", leave=False):
         mesh, start = read_mesh(file), camera_alignment(file.parent, truth)
         aligned = icp(mesh, start, targets)
-        if not found:
+        if not figures:
             in_run = Mesh(aligned.back(truth.mesh.vertices), truth.mesh.faces, truth.mesh.colors)
             misplaced = moved(in_run, start)
             if place:
                 write_mesh(place, in_run)
-        found[str(file)] = scores(moved(mesh, aligned), truth)
+        figures[str(file)] = scores(moved(mesh, aligned), truth)
     again = icp(misplaced, Alignment(1.0, np.eye(3), np.zeros(3)), targets)
     floors = {"floor: drawn anew": truth.mesh, "floor: aligned anew": moved(misplaced, again)}
-    return found | {name: scores(mesh, truth, seed=4) for name, mesh in floors.items()}
+    return figures | {name: scores(mesh, truth, seed=4) for name, mesh in floors.items()}
 
 
 def main() -> None:
@@ -215,14 +215,14 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE", help="also write the figures here")
     parser.add_argument("--place", metavar="FILE", help="also write the truth where the first mesh lies")
     arguments = parser.parse_args()
-    found = run(arguments.meshes, arguments.room, arguments.place)
-    heads = list(next(iter(found.values())))
-    rows = [[name, *(f"{one[head]:.3f}" for head in heads)] for name, one in found.items()]
+    figures = run(arguments.meshes, arguments.room, arguments.place)
+    heads = list(next(iter(figures.values())))
+    rows = [[name, *(f"{one[head]:.3f}" for head in heads)] for name, one in figures.items()]
     print(align_columns([["mesh", *heads], *rows], range(1, len(heads) + 1)))
     if arguments.json:
         from gsjax.io import json_files
 
-        json_files.write(arguments.json, found)
+        json_files.write(arguments.json, figures)
 
 
 if __name__ == "__main__":

@@ -40,10 +40,10 @@ def run(truth_file: str, run_folder: str, meshes: Sequence[str]) -> dict[str, di
 
     result = open_result(run_folder)
     truth, *scenes = (_caster(result.similarity.mesh_to_local(read_mesh(file))) for file in (truth_file, *meshes))
-    chosen = range(FIRST, len(result.cameras), EVERY)
+    indices = range(FIRST, len(result.cameras), EVERY)
     rows: dict[str, list[list[float]]] = {}
-    stages = zip(chosen, _rendered_stages(result, chosen), strict=True)
-    for index, stage in tqdm(stages, total=len(chosen), desc="photos", unit="photo", leave=False):
+    stages = zip(indices, _rendered_stages(result, indices), strict=True)
+    for index, stage in tqdm(stages, total=len(indices), desc="photos", unit="photo", leave=False):
         camera = result.cameras[index]
         true_surface = truth(camera)
         for name, surface in (stage | {file: cast(camera) for file, cast in zip(meshes, scenes, strict=True)}).items():
@@ -51,7 +51,7 @@ def run(truth_file: str, run_folder: str, meshes: Sequence[str]) -> dict[str, di
     return {name: dict(zip(HEADS, np.nanmean(each, axis=0).tolist(), strict=True)) for name, each in rows.items()}
 
 
-def _rendered_stages(result, chosen: Sequence[int]) -> Iterator[dict[str, Surface]]:
+def _rendered_stages(result, indices: Sequence[int]) -> Iterator[dict[str, Surface]]:
     """What the run shows of the photos, stage by stage."""
     from gsjax import render
     from gsjax.normals import sdf
@@ -59,9 +59,9 @@ def _rendered_stages(result, chosen: Sequence[int]) -> Iterator[dict[str, Surfac
     from gsjax.numerics import safe_normalize
     from gsjax.runs.normal_source import reduction_for
 
-    cameras = [result.cameras[index] for index in chosen]
+    cameras = [result.cameras[index] for index in indices]
     reduction = reduction_for(result.gaussians, cameras, result.depth_mode)
-    for index, camera in zip(chosen, cameras, strict=True):
+    for index, camera in zip(indices, cameras, strict=True):
         view = render(result.gaussians, camera, with_depth=True, depth_mode=result.depth_mode)
         depth = np.asarray(view.depth)
 

@@ -47,8 +47,8 @@ class Place:
     def settings(self, difference: Mapping[str, Any], seed: int) -> Settings:
         """The config's settings with a difference, in this place's share of the steps."""
         normals = self.scene / "normals"
-        given = {"seed": seed} | ({"supervision": {"normals": str(normals)}} if normals.is_dir() else {})
-        return pipeline.scaled(parse(Settings, merge(self.config, given, difference)), self._share)
+        inputs = {"seed": seed} | ({"supervision": {"normals": str(normals)}} if normals.is_dir() else {})
+        return pipeline.scaled(parse(Settings, merge(self.config, inputs, difference)), self._share)
 
     def fresh(self, name: str) -> Path:
         """A new empty folder of this place."""

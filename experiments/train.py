@@ -56,24 +56,24 @@ def load_config(name: str) -> dict:
     return config.merge(CONFIGS["base"], CONFIGS[name])
 
 
-def claim(out: Path, asked: Mapping[str, Any]) -> None:
+def claim(out: Path, request: Mapping[str, Any]) -> None:
     """Notes what a folder's runs are of, as `OUT/asked.json`.
 
     Raises:
         InputError: The folder holds runs of something else.
     """
     note = out / "asked.json"
-    before = json_files.read(note) if note.exists() else asked
-    for key, value in asked.items():
+    before = json_files.read(note) if note.exists() else request
+    for key, value in request.items():
         if before[key] != value:
             raise InputError(f"{note}: its runs are of {key} {before[key]}, not {value}; --out takes another folder")
     out.mkdir(parents=True, exist_ok=True)
-    json_files.write(note, asked)
+    json_files.write(note, request)
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, names: Iterable[str]) -> str:
     """The known name that is most like this one."""
-    return max(known, key=lambda other: difflib.SequenceMatcher(None, name, other).ratio())
+    return max(names, key=lambda other: difflib.SequenceMatcher(None, name, other).ratio())
 
 
 def main() -> None:

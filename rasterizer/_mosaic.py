@@ -32,9 +32,9 @@ def launch(
 
     if zeros is None:
         return mosaic.kernel(body, out_type=shapes, **how)(*arguments)
-    written = jax.new_ref(zeros)
-    mosaic.kernel(body, out_type=(), **how)(*arguments, written)
-    return jax.freeze(written)
+    buffer = jax.new_ref(zeros)
+    mosaic.kernel(body, out_type=(), **how)(*arguments, buffer)
+    return jax.freeze(buffer)
 
 
 @cache

@@ -117,7 +117,7 @@ def _forward_kernel(
             after = jnp.minimum(k + CHUNK, stop)
             return after, *jax.lax.fori_loop(k, after, blend_one, tuple(pixel_state))
 
-        _, signed_t, shown, *indices = jax.lax.while_loop(
+        _, signed_t, segment_features, *indices = jax.lax.while_loop(
             lambda state: (state[0] < stop) & (jnp.max(state[1]) > 0),
             blend_chunk,
             (begin, signed_t, (blank,) * channels, *indices),
@@ -125,8 +125,8 @@ def _forward_kernel(
         place = first_segment + segment
         kept_light[place, :] = jnp.abs(signed_t)
         for i in range(channels):
-            kept_features[place, i, :] = shown[i]
-        return segment + 1, signed_t, tuple(a + b for a, b in zip(image, shown, strict=True)), *indices
+            kept_features[place, i, :] = segment_features[i]
+        return segment + 1, signed_t, tuple(a + b for a, b in zip(image, segment_features, strict=True)), *indices
 
     state = jnp.int32(0), blank + 1, (blank,) * channels, nothing
     state = *state, nothing if static.with_median else None, nothing if front else None
@@ -195,9 +195,9 @@ def _backward_kernel(
             gradients[start + k, 6 + c] = jnp.sum(counted * d_features[tile, c, :])
         return t, behind
 
-    seen = first_segment + (count + segment_size - 1) // segment_size
+    segments_end = first_segment + (count + segment_size - 1) // segment_size
     light_behind = transmittance[tile, :] * d_transmittance[tile, :]
-    light_behind = jax.lax.fori_loop(segment + 1, seen, add_segment, light_behind)
+    light_behind = jax.lax.fori_loop(segment + 1, segments_end, add_segment, light_behind)
     if front:
         # Of the splat that uses the light up all of it counts (`unblend_splat`); the image has what is over stop_after.
         crossing = crossings[0][tile, :]
@@ -256,11 +256,13 @@ def _forward(
     ]
     kernel = partial(_forward_kernel, static=static, segment_size=segment_size)
     arguments = rows, splats, offsets, order, segments[1]
-    features, t, last, light, shown, *marks = launch(kernel, tiles, shapes, FORWARD_WARPS, interpret, arguments)
+    features, t, last, light, segment_features, *marks = launch(
+        kernel, tiles, shapes, FORWARD_WARPS, interpret, arguments
+    )
     median, crossings = None, marks
     if static.with_median:
         median, crossings = splats_at(marks[0], splats, offsets), marks[1:]
-    return Blended(features, t, last, median, (*segments, light, shown, *crossings))
+    return Blended(features, t, last, median, (*segments, light, segment_features, *crossings))
 
 
 def _backward(
@@ -286,8 +288,8 @@ def _backward(
     gradients = launch(kernel, residuals[0].shape[0], shape, BACKWARD_WARPS, interpret, arguments, zeros)
     d_rows = chain_to_rows(rows[splats], gradients[:, :6], gradients[:, 6:])
     # A GPU adds by atomics, and zeros of a whole buffer to one row wait for each other: their index is past all rows.
-    written = jnp.any(gradients != 0, -1)
-    return sum_rows(d_rows, jnp.where(written, splats, rows.shape[0]), rows.shape[0])
+    has_gradient = jnp.any(gradients != 0, -1)
+    return sum_rows(d_rows, jnp.where(has_gradient, splats, rows.shape[0]), rows.shape[0])
 
 
 def atomic_sums(values: Array, places: Array, count: int) -> Array:

@@ -39,11 +39,11 @@ def _blend_block(pixels: Array, splats: tuple, rules: Rules, front: Front | None
         weights = jnp.broadcast_to(weight[:, None], (*weight.shape, *feature.shape))
         if front:
             weights = weights.at[:, -front.channels :].set(front_weight(signed_t, weight, front.stop_after)[:, None])
-        shown = weights * feature[None]
+        contribution = weights * feature[None]
         if slope is not None:
             # Depth, the last feature, is that of the splat's plane at every pixel.
-            shown = shown.at[:, -1].add(-weights[:, -1] * (slope[0] * dx + slope[1] * dy))
-        return (left, image + shown, median), None
+            contribution = contribution.at[:, -1].add(-weights[:, -1] * (slope[0] * dx + slope[1] * dy))
+        return (left, image + contribution, median), None
 
     count, dtype = pixels.shape[0], features.dtype
     start = jnp.ones(count, dtype), jnp.zeros((count, features.shape[1]), dtype), jnp.full(count, -1, jnp.int32)

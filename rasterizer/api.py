@@ -309,5 +309,5 @@ def rasterization(
         except UnknownCountError:
             if zeros is not None or not lists_by_itself(backend):
                 raise
-    shown = sh_degree, render_mode, depth_mode, return_median_depth, return_normals
-    return _rasterize(arrays, Options(grid, backend, capacity, *shown, projected, rules))
+    outputs = sh_degree, render_mode, depth_mode, return_median_depth, return_normals
+    return _rasterize(arrays, Options(grid, backend, capacity, *outputs, projected, rules))

@@ -35,15 +35,15 @@ def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def with_arrays(*args: P.args, **kwargs: P.kwargs) -> R:
-        given = signature.bind(*args, **kwargs)
-        passed = {name: value for name, value in given.arguments.items() if name in may_be_none}
+        call = signature.bind(*args, **kwargs)
+        passed = {name: value for name, value in call.arguments.items() if name in may_be_none}
         floats = (value for name, value in passed.items() if name not in _NO_FLOATS)
         first = next((value.dtype for value in floats if isinstance(value, jax.Array | np.ndarray)), float)
         dtype = np.float64 if jax.dtypes.canonicalize_dtype(first) == np.float64 else np.float32
         for name, value in passed.items():
             if value is not None or not may_be_none[name]:
-                given.arguments[name] = _as_array(name, value, dtype)
-        return function(*given.args, **given.kwargs)
+                call.arguments[name] = _as_array(name, value, dtype)
+        return function(*call.args, **call.kwargs)
 
     return with_arrays
 
@@ -67,10 +67,14 @@ def _as_array(name: str, value: Any, dtype: Any) -> Array:
 
 def as_float(name: str, array: Any, dtype: Any) -> Any:
     """The array of real numbers in a float dtype; one that has it already is left as it is."""
-    given = jax.dtypes.canonicalize_dtype(array.dtype)
-    if given == dtype:
+    source_dtype = jax.dtypes.canonicalize_dtype(array.dtype)
+    if source_dtype == dtype:
         return array
-    if not (jnp.issubdtype(given, jnp.floating) or jnp.issubdtype(given, jnp.integer) or given == jnp.bool_):
+    if not (
+        jnp.issubdtype(source_dtype, jnp.floating)
+        or jnp.issubdtype(source_dtype, jnp.integer)
+        or source_dtype == jnp.bool_
+    ):
         raise TypeError(f"{name}.dtype={array.dtype}, expected real numbers")
     return jnp.asarray(array, dtype)
 

@@ -18,8 +18,8 @@ def splat_sigma(dx: Array, dy: Array, conic_xx: Array, conic_xy: Array, conic_yy
 
 def cut_alpha(unclamped: Array, sigma: Array, rules: Rules) -> Array:
     """Alpha as blended: clamped above, zero under the cut and where rounding made sigma negative."""
-    kept = (unclamped >= rules.alpha_min) & (sigma >= 0)
-    return jnp.where(kept, jnp.minimum(unclamped, rules.alpha_max), 0)
+    is_drawn = (unclamped >= rules.alpha_min) & (sigma >= 0)
+    return jnp.where(is_drawn, jnp.minimum(unclamped, rules.alpha_max), 0)
 
 
 def blend_splat(signed_t: Array, alpha: Array, rules: Rules) -> tuple[Array, Array]:

@@ -44,18 +44,18 @@ def maps_over_batches(render: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(render)
     def with_batches(*args: P.args, **kwargs: P.kwargs) -> R:
-        given = signature.bind(*args, **kwargs).arguments
-        batch = given["means"].shape[:-2]
+        arguments = signature.bind(*args, **kwargs).arguments
+        batch = arguments["means"].shape[:-2]
         if not batch:
             return render(*args, **kwargs)
         if not prod(batch):
-            raise ValueError(f"means.shape={given['means'].shape} holds no scene")
+            raise ValueError(f"means.shape={arguments['means'].shape} holds no scene")
         mapped = {
             name: array.reshape(-1, *array.shape[len(batch) :])
-            for name, array in given.items()
-            if name in (*SHAPES, "colors") and _has_batch(name, array, batch, given.get("sh_degree"))
+            for name, array in arguments.items()
+            if name in (*SHAPES, "colors") and _has_batch(name, array, batch, arguments.get("sh_degree"))
         }
-        results = jax.vmap(lambda arrays: by_name(**{**given, **arrays}))(mapped)
+        results = jax.vmap(lambda arrays: by_name(**{**arguments, **arrays}))(mapped)
         return jax.tree.map(lambda result: result.reshape(*batch, *result.shape[1:]), results)
 
     return with_batches
@@ -100,9 +100,9 @@ def absgrad_zeros(absgrad, shape: tuple[int, ...]) -> Array | None:
         ValueError: It is True, which a function without side effects cannot answer to, or of another shape.
     """
     if absgrad is True or (absgrad is not False and absgrad is not None and absgrad.shape != shape):
-        given = "True" if absgrad is True else f"[{', '.join(map(str, absgrad.shape))}]"
+        value = "True" if absgrad is True else f"[{', '.join(map(str, absgrad.shape))}]"
         raise ValueError(
-            f"absgrad={given}: pass zeros of shape {shape}, whose gradient is what gsplat writes to means2d.absgrad"
+            f"absgrad={value}: pass zeros of shape {shape}, whose gradient is what gsplat writes to means2d.absgrad"
         )
     return None if absgrad is False else absgrad
 

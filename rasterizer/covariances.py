@@ -101,8 +101,13 @@ def tilt_from_triangle(
     rows, adjugate = symmetric(triangle)
     z = [dot(row, row_z) for row in rows]
     normal = cross(row_x, row_y)
-    seen = [dot(row, normal) for row in adjugate]
-    return dot(row_x, z), dot(row_y, z), dot(seen, cross(row_z, row_y)), dot(seen, cross(row_x, row_z))
+    adjugate_normal = [dot(row, normal) for row in adjugate]
+    return (
+        dot(row_x, z),
+        dot(row_y, z),
+        dot(adjugate_normal, cross(row_z, row_y)),
+        dot(adjugate_normal, cross(row_x, row_z)),
+    )
 
 
 def symmetric(triangle: Vector) -> tuple[Matrix, Matrix]:

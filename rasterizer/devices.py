@@ -16,10 +16,10 @@ LEAST_JAX_OF_MOSAIC = 0, 12  # That of jax 0.11 compiles for Hopper alone.
 def default_device() -> Any:
     """The `jax.Device` that is computed on unless an array says otherwise: `jax.default_device`'s, else the first."""
     config: Any = jax.config  # Its fields are made when it is loaded.
-    chosen = config.jax_default_device
-    if chosen is None or isinstance(chosen, str):
-        return jax.local_devices(backend=chosen)[0]
-    return chosen
+    default = config.jax_default_device
+    if default is None or isinstance(default, str):
+        return jax.local_devices(backend=default)[0]
+    return default
 
 
 def why_no_kernels(device: Any) -> str | None:

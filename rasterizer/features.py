@@ -94,7 +94,7 @@ def expected_depth(image: Array, alphas: Array) -> Array:
 
 def median_depth(projection: Projection, median: Int32[Array, "C H W"]) -> Float[Array, "C H W 1"]:
     """Depth of each pixel's median splat, 0 where there is none; differentiable to the projection."""
-    p, found = projection, median >= 0
+    p, has_median = projection, median >= 0
     if p.depths.size == 0:
         return jnp.zeros((*median.shape, 1), p.depths.dtype)
     index = jnp.maximum(median, 0)
@@ -104,4 +104,4 @@ def median_depth(projection: Projection, median: Int32[Array, "C H W"]) -> Float
         y, x = jnp.meshgrid(*(jnp.arange(n, dtype=depth.dtype) + 0.5 for n in (height, width)), indexing="ij")
         slope, mean2d = (part.reshape(-1, 2)[index] for part in (p.slopes, p.means2d))
         depth = depth + jnp.sum(slope * (jnp.stack([x, y], -1)[None] - mean2d), -1)
-    return jnp.where(found, depth, 0)[..., None]
+    return jnp.where(has_median, depth, 0)[..., None]

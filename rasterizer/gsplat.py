@@ -323,8 +323,8 @@ def _keep_masked(pairs: TilePairs, masks: Array) -> TilePairs:
     counts = pairs.offsets[1:] - pairs.offsets[:-1]
     slot = jnp.arange(pairs.splats.shape[0], dtype=jnp.int32)
     tile = jnp.clip(jnp.searchsorted(pairs.offsets, slot, side="right") - 1, 0, counts.shape[0] - 1)
-    kept = masks[tile] & (slot < pairs.offsets[-1])
-    place = jnp.where(kept, jnp.cumsum(kept, dtype=jnp.int32) - 1, slot.shape[0])
+    is_kept = masks[tile] & (slot < pairs.offsets[-1])
+    place = jnp.where(is_kept, jnp.cumsum(is_kept, dtype=jnp.int32) - 1, slot.shape[0])
     splats = jnp.zeros_like(pairs.splats).at[place].set(pairs.splats, mode="drop")
     ends = jnp.cumsum(jnp.where(masks, counts, 0), dtype=jnp.int32)
     return pairs._replace(splats=splats, offsets=jnp.concatenate([jnp.zeros(1, jnp.int32), ends]))

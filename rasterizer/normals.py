@@ -34,10 +34,10 @@ def camera_normals(
         Normals, differentiable to quats and viewmats.
     """
     # What no camera sees is made harmless first; what one camera sees is sound.
-    seen = visible.any(0)[:, None]
-    quats = jnp.where(seen, quats, jnp.array([1, 0, 0, 0], quats.dtype))
-    means = jax.lax.stop_gradient(jnp.where(seen, means, 0))
-    smallest = jnp.argmin(jnp.where(seen, scales, 1), axis=-1)
+    in_any_view = visible.any(0)[:, None]
+    quats = jnp.where(in_any_view, quats, jnp.array([1, 0, 0, 0], quats.dtype))
+    means = jax.lax.stop_gradient(jnp.where(in_any_view, means, 0))
+    smallest = jnp.argmin(jnp.where(in_any_view, scales, 1), axis=-1)
     axis = [
         jnp.where(smallest == 0, x, jnp.where(smallest == 1, y, z)) for x, y, z in rotation(components(quats[None]))
     ]

@@ -102,7 +102,7 @@ def _project_components(
 ) -> _Splats:
     """`shape`: quaternion and scales, or the upper triangle of a covariance."""
     of_axes = len(shape) == 2
-    seen = seen_from_axes if of_axes else seen_from_triangle
+    image_covariance = seen_from_axes if of_axes else seen_from_triangle
     tilted = tilt_from_axes if of_axes else tilt_from_triangle
     harmless_shape = ((1, 0, 0, 0), (1, 1, 1)) if of_axes else ((1, 0, 0, 1, 0, 1),)
 
@@ -111,7 +111,7 @@ def _project_components(
         z_safe = jnp.where(z > near_plane, z, 1)
         mean2d, row_x, row_y = model.image_point([x, y, z_safe], viewmat, lens, size)
         rows = row_x, row_y
-        xx, xy, yy, sharp = seen(*rows, *shape)
+        xx, xy, yy, sharp = image_covariance(*rows, *shape)
         # det(S + eps 1) = det S + eps tr S + eps^2.
         xx, yy, det = xx + eps2d, yy + eps2d, sharp + eps2d * (xx + yy) + eps2d * eps2d
         # Divided by the root twice: the derivative of a plain division squares the determinant, which may overflow.

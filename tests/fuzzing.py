@@ -39,9 +39,9 @@ def fuzz(attempt: Callable[[np.random.Generator], Any], *, usual: int) -> tuple[
     Returns:
         How many were read, and how many refused.
     """
-    counts, tried = [0, 0], int(os.environ.get("GSJAX_FUZZ", usual))
+    counts, times = [0, 0], int(os.environ.get("GSJAX_FUZZ", usual))
     try:
-        for seed in range(tried):
+        for seed in range(times):
             try:
                 attempt(np.random.default_rng(seed))
                 counts[0] += 1
@@ -51,7 +51,7 @@ def fuzz(attempt: Callable[[np.random.Generator], Any], *, usual: int) -> tuple[
             except Exception as error:
                 raise AssertionError(f"seed {seed}: {type(error).__name__}: {error}") from error
     finally:
-        _log(tried, *counts)
+        _log(times, *counts)
     return counts[0], counts[1]
 
 
@@ -71,12 +71,12 @@ def fuzz_files(read: Callable[[], Any], *files: Path, usual: int) -> tuple[int, 
     return fuzz(attempt, usual=usual)
 
 
-def _log(tried: int, read: int, refused: int) -> None:
+def _log(times: int, read: int, refused: int) -> None:
     """What a test has come to, for who counts; the first that is neither read nor refused ends it."""
     if file := os.environ.get("GSJAX_FUZZ_LOG"):
         test = os.environ["PYTEST_CURRENT_TEST"].partition(" ")[0]
         with open(file, "a", encoding="utf-8") as log:
-            log.write(json.dumps({"test": test, "tried": tried, "read": read, "refused": refused}) + "\n")
+            log.write(json.dumps({"test": test, "tried": times, "read": read, "refused": refused}) + "\n")
 
 
 def is_one_line(message: str) -> bool:
@@ -144,9 +144,9 @@ def _exchange_in_head(data: bytearray, random: np.random.Generator) -> None:
 
 
 def _exchange_a_number(data: bytearray, random: np.random.Generator) -> None:
-    found = list(NUMBER.finditer(bytes(data[:4096])))
-    if found:
-        match = found[random.integers(len(found))]
+    matches = list(NUMBER.finditer(bytes(data[:4096])))
+    if matches:
+        match = matches[random.integers(len(matches))]
         data[match.start() : match.end()] = ODD_NUMBERS[random.integers(len(ODD_NUMBERS))]
 
 

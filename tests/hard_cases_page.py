@@ -141,7 +141,7 @@ def summary(rows):
         if not cells:
             continue
         worst = [max((errors[i], -bounds[i]) for errors, bounds in cells) for i in (0, 1)]
-        held = all(error < bound or error == bound == 0 for cell in cells for error, bound in zip(*cell, strict=True))
+        passes = all(error < bound or error == bound == 0 for cell in cells for error, bound in zip(*cell, strict=True))
         parts = [f"{_pair([error])} | {_pair([-bound])}" for error, bound in worst]
-        lines.append(f"| {family} | {' | '.join(parts)} | {'pass' if held else 'fail'} |")
+        lines.append(f"| {family} | {' | '.join(parts)} | {'pass' if passes else 'fail'} |")
     return lines

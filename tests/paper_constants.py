@@ -79,12 +79,15 @@ def vertex_rates(name: str) -> tuple[float, float]:
 
 def degree_steps(name: str) -> int:
     """Steps of a refinement after which the next degree joins, as its compiled step is told."""
-    chosen, state = refined(name), SimpleNamespace(step=refined(name).steps)
+    settings, state = refined(name), SimpleNamespace(step=refined(name).steps)
     data = SimpleNamespace(has_mattes=False)
-    with mock.patch.object(refinement, "make_refine_step") as made, mock.patch.object(refinement, "advance") as advance:
+    with (
+        mock.patch.object(refinement, "make_refine_step") as factory,
+        mock.patch.object(refinement, "advance") as advance,
+    ):
         advance.side_effect = lambda compiled, after, state, *_, **__: (compiled(1) and state, 1)
-        refinement.refine(chosen, None, data, state, None, background=None, observe=lambda _: None, capacity=1)
-    return made.call_args.kwargs["sh_every"]
+        refinement.refine(settings, None, data, state, None, background=None, observe=lambda _: None, capacity=1)
+    return factory.call_args.kwargs["sh_every"]
 
 
 def image_weights(settings: Settings) -> set[tuple[float, float]]:
@@ -172,8 +175,8 @@ def meshed(schedule: str) -> dict[str, Any]:
 
 def meshes_of_all() -> list[dict[str, Any]]:
     """The different ways in which the protocol asks for coarse meshes, over all methods of its tables."""
-    made = [meshed(name) for name in importlib.import_module("paper.scenes").SCHEDULES]
-    return [one for index, one in enumerate(made) if one not in made[:index]]
+    meshes = [meshed(name) for name in importlib.import_module("paper.scenes").SCHEDULES]
+    return [one for index, one in enumerate(meshes) if one not in meshes[:index]]
 
 
 def protocol(schedule: str) -> dict[str, Any]:

@@ -53,8 +53,8 @@ def relit(scene: Scene, stops) -> Scene:
 def gains(scene: Scene, exposure: float, balance: float = 0.0, seed: int = 1) -> np.ndarray:
     """`[V, 3]` EV drawn with these standard deviations, mean zero."""
     rng = np.random.default_rng(seed)
-    drawn = exposure * rng.normal(size=(len(scene.frames), 1)) + balance * rng.normal(size=(len(scene.frames), 3))
-    return drawn - drawn.mean(0)
+    samples = exposure * rng.normal(size=(len(scene.frames), 1)) + balance * rng.normal(size=(len(scene.frames), 3))
+    return samples - samples.mean(0)
 
 
 def radii2(frame: Frame, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -140,7 +140,7 @@ def _photo(place: Place, viewmat: np.ndarray, gain: float) -> tuple[np.ndarray, 
 def _tracks(place: Place, frames: list[Frame], rng) -> tuple[np.ndarray, Tracks]:
     """Points on what has contrast in three photos at least."""
     points = _on_surfaces(place.boxes, rng)
-    seen = np.zeros((len(frames), len(points)), bool)
+    is_visible = np.zeros((len(frames), len(points)), bool)
     rays = np.zeros((len(frames), len(points), 2))
     for index, frame in enumerate(frames):
         viewmat = frame.viewmat.astype(np.float64)
@@ -153,14 +153,14 @@ def _tracks(place: Place, frames: list[Frame], rng) -> tuple[np.ndarray, Tracks]
         free = cast(place.boxes, eye, away)[0] > 1 - 1e-3
         slopes = np.hypot(*np.gradient(frame.pixels().image.mean(-1)))
         x, y = np.where(inside[:, None], pixels, 0).astype(int).T
-        seen[index] = inside & free & (slopes[y, x] > CONTRAST)
-    chosen = np.flatnonzero(seen.sum(0) >= 3)
-    photo, point = np.nonzero(seen[:, chosen])
-    found = rays[photo, chosen[point]] + rng.normal(0, 0.2 / FOCAL, (len(photo), 2))
+        is_visible[index] = inside & free & (slopes[y, x] > CONTRAST)
+    indices = np.flatnonzero(is_visible.sum(0) >= 3)
+    photo, point = np.nonzero(is_visible[:, indices])
+    noisy_rays = rays[photo, indices[point]] + rng.normal(0, 0.2 / FOCAL, (len(photo), 2))
     tracks = Tracks(
-        tuple(f.name for f in frames), photo.astype(np.int32), point.astype(np.int32), found.astype(np.float32)
+        tuple(f.name for f in frames), photo.astype(np.int32), point.astype(np.int32), noisy_rays.astype(np.float32)
     )
-    return (points[chosen] * (1 + POINT_NOISE * rng.normal(size=(len(chosen), 1)))).astype(np.float32), tracks
+    return (points[indices] * (1 + POINT_NOISE * rng.normal(size=(len(indices), 1)))).astype(np.float32), tracks
 
 
 def _on_surfaces(boxes, rng) -> np.ndarray:

@@ -78,13 +78,13 @@ def make_arrays():
     """All that the calls name."""
     kinds = ((FLOATS, jnp.float32), (INTEGERS, jnp.int32), (TRUTHS, bool))
     rows = [(shape, names.split(), dtype) for shapes, dtype in kinds for shape, names in shapes.items()]
-    made = {name: jnp.ones(shape, dtype) for shape, names, dtype in rows for name in names}
-    projection = Projection(**{name: made[name] for name in Projection._fields})
-    made |= {"projection": projection, "flat": projection._replace(slopes=None), "probe": projection.slopes[0]}
-    made["pairs"] = TilePairs(made["splats"], made["offsets"], made["count"], made["skipped"])
+    arrays = {name: jnp.ones(shape, dtype) for shape, names, dtype in rows for name in names}
+    projection = Projection(**{name: arrays[name] for name in Projection._fields})
+    arrays |= {"projection": projection, "flat": projection._replace(slopes=None), "probe": projection.slopes[0]}
+    arrays["pairs"] = TilePairs(arrays["splats"], arrays["offsets"], arrays["count"], arrays["skipped"])
     with jax.enable_x64(True):
-        made["isect_ids"] = made["splats"].astype(jnp.int64)
-    made |= {"moments": Moments(made["means"], made["means"]), "points": np.asarray(made["means"])}
-    made["bytes"] = made["points"].astype(np.uint8)
-    made["camera"] = gsjax.Camera(made["viewmats"][0], made["Ks"][0], W, H)
-    return made | {"gaussians": gsjax.from_points(made["points"], made["points"], capacity=N)}
+        arrays["isect_ids"] = arrays["splats"].astype(jnp.int64)
+    arrays |= {"moments": Moments(arrays["means"], arrays["means"]), "points": np.asarray(arrays["means"])}
+    arrays["bytes"] = arrays["points"].astype(np.uint8)
+    arrays["camera"] = gsjax.Camera(arrays["viewmats"][0], arrays["Ks"][0], W, H)
+    return arrays | {"gaussians": gsjax.from_points(arrays["points"], arrays["points"], capacity=N)}

@@ -220,8 +220,8 @@ def loss_in_front(scene, backend, capacity):
 @partial(jax.jit, static_argnames=("backend", "capacity"))
 def evaluate_in_front(scene, backend, capacity=2048):
     """As `evaluate`, of depth in front."""
-    (_, shown), gradient = jax.value_and_grad(loss_in_front, has_aux=True)(scene, backend, capacity)
-    return *shown, {}, gradient
+    (_, outputs), gradient = jax.value_and_grad(loss_in_front, has_aux=True)(scene, backend, capacity)
+    return *outputs, {}, gradient
 
 
 def textbook(scene):

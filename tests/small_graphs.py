@@ -117,8 +117,8 @@ def brightest_pixels(file, kind, side, count=150):
     row = graph.add("Div", places, graph.constant(side, np.int64))
     column = graph.add("Sub", places, graph.add("Mul", row, graph.constant(side, np.int64)))
     xy = graph.add("Concat", *(graph.shaped(axis, count, 1) for axis in (column, row)), axis=1)
-    chosen = graph.add("Gather", colors, graph.shaped(places, count), axis=1)
-    described = graph.add("MatMul", graph.transposed(chosen, [1, 0]), graph.constant(PROJECTION))
+    brightest = graph.add("Gather", colors, graph.shaped(places, count), axis=1)
+    described = graph.add("MatMul", graph.transposed(brightest, [1, 0]), graph.constant(PROJECTION))
     if kind == "disk":
         graph.output(graph.shaped(xy, 1, count, 2), "keypoints", np.int64, shape=(1, count, 2))
         graph.output(scores, "scores", shape=(1, count))

@@ -35,14 +35,14 @@ def few_samples() -> Iterator[None]:
 
 def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
     """The built-in scene, written with few samples; made once a session, by whichever worker asks first."""
-    made = Path(os.environ["GSJAX_TEST_SCENES"], f"{num_views}_{size[0]}x{size[1]}")
-    with made.with_suffix(".lock").open("w") as lock, few_samples():
+    original = Path(os.environ["GSJAX_TEST_SCENES"], f"{num_views}_{size[0]}x{size[1]}")
+    with original.with_suffix(".lock").open("w") as lock, few_samples():
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not made.exists():
+        if not original.exists():
             analytic_scene.write(
-                made, num_views=num_views, size=size, progress=lambda **options: tqdm(disable=True, **options)
+                original, num_views=num_views, size=size, progress=lambda **options: tqdm(disable=True, **options)
             )
-    return shutil.copytree(made, folder, dirs_exist_ok=True)
+    return shutil.copytree(original, folder, dirs_exist_ok=True)
 
 
 def camera_at(eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, 1.0), *, size=(32, 24), focal=30.0) -> Camera:

@@ -46,9 +46,9 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
         psnr = -10 * jnp.log10(jnp.maximum(error, 1e-10))
         statistics = state.statistics
         if rule:
-            seen = in_photo(projection, target.size)
-            distances = jnp.where(seen, projection.depths[0], 0) / extent
-            statistics = rule.accumulate(statistics, gradients[1], seen, distances, target.size)
+            is_visible = in_photo(projection, target.size)
+            distances = jnp.where(is_visible, projection.depths[0], 0) / extent
+            statistics = rule.accumulate(statistics, gradients[1], is_visible, distances, target.size)
         finite = rasterizer.all_finite((total, gradients))
         skipped = pairs.overflowed | ~finite
         moved = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0], skipped)

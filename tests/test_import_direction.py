@@ -102,14 +102,14 @@ def module_name(path: Path) -> str:
 
 def imports(source: str) -> set[str]:
     """Every module that the source imports, anywhere in it; `from a import b` may mean the module a.b."""
-    found = set()
+    modules = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            modules |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute here"
-            found |= {resolved(node.module, alias.name) for alias in node.names}
-    return found
+            modules |= {resolved(node.module, alias.name) for alias in node.names}
+    return modules
 
 
 def resolved(module: str, name: str) -> str:

@@ -47,8 +47,8 @@ WORKFLOW = ROOT / ".github/workflows/checks.yml"
 @pytest.mark.parametrize("page", [ROOT / "README.md", BESIDE[0], WORKFLOW, ROOT / ".ci/run"], ids=named)
 def test_every_target_of_make_exists(page):
     targets = set(re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)[1].split())
-    asked = re.findall(r"(?:^ {4}| run: |\$\(|^)make ([a-z -]+[a-z])", page.read_text(), re.MULTILINE)
-    words = {word for line in asked for word in line.split("  ")[0].split() if not word.startswith("-")}
+    commands = re.findall(r"(?:^ {4}| run: |\$\(|^)make ([a-z -]+[a-z])", page.read_text(), re.MULTILINE)
+    words = {word for line in commands for word in line.split("  ")[0].split() if not word.startswith("-")}
     assert words
     assert words <= targets
 
@@ -156,15 +156,15 @@ def absent(text: str) -> list[str]:
 
 def exists(name: str) -> bool:
     path, *rest = name.split(".")
-    found = importlib.import_module(path)
+    value = importlib.import_module(path)
     for part in rest:
         path = f"{path}.{part}"
-        if hasattr(found, "__path__") and importlib.util.find_spec(path):
-            found = importlib.import_module(path)
-        elif hasattr(found, part):
-            found = getattr(found, part)
+        if hasattr(value, "__path__") and importlib.util.find_spec(path):
+            value = importlib.import_module(path)
+        elif hasattr(value, part):
+            value = getattr(value, part)
         else:  # A field without a default is no attribute of its class.
-            return part in getattr(found, "__dataclass_fields__", {})
+            return part in getattr(value, "__dataclass_fields__", {})
     return True
 
 

@@ -91,8 +91,8 @@ def test_the_stages_of_the_rasterizer():
         _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, 8, 5, 4, capacity=512)
         offsets = rasterizer.isect_offset_encode(ids, 1, 5, 4)
         colors, opacities = s.colors[None], s.opacities[None]
-        drawn = (means2d, conics, colors, opacities, *size, 8, offsets, splats)
-        return flat, rasterizer.rasterize_to_pixels(*drawn, backend="xla")
+        arguments = (means2d, conics, colors, opacities, *size, 8, offsets, splats)
+        return flat, rasterizer.rasterize_to_pixels(*arguments, backend="xla")
 
     assert not rough_products(stages, scene)
 

@@ -103,8 +103,8 @@ def test_the_parts_of_a_mesh_stay_and_what_goes_is_said(capsys):
     rest = sheet(depth=9.0)
     corners = np.concatenate([sheet().vertices, rest.vertices[[0, 1, 4]]])
     faces = np.concatenate([sheet().faces, [[16, 17, 18]], [[0, 0, 1], [16, 17, 18]]])
-    given = Mesh(corners, faces.astype(np.int32), np.zeros((19, 3), np.uint8))
-    mesh, taken_out = prepare_mesh(given, 1000)
+    source = Mesh(corners, faces.astype(np.int32), np.zeros((19, 3), np.uint8))
+    mesh, taken_out = prepare_mesh(source, 1000)
     assert mesh.num_faces == 19 and mesh.vertices[:, 2].max() > 8, "a part of one triangle stays"
     assert taken_out == {"degenerate": 1, "duplicate": 1, "non_manifold": 0, "decimated": 0}
     assert capsys.readouterr().err == "refine: 19 of 21 triangles are left; 1 degenerate, 1 duplicate\n"
@@ -122,8 +122,8 @@ def test_triangles_are_halved_where_pixels_see_them_and_are_not_masked(capsys):
     right = np.zeros((48, 64), np.uint8)
     right[:, 40:] = 255
     pixels = Pixels(np.zeros((48, 64, 3), np.uint8), valid=right)
-    seen = read_batches([frame_of("0.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels)])
-    halved = halved_where_seen(coarse, seen, 100)
+    views = read_batches([frame_of("0.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels)])
+    halved = halved_where_seen(coarse, views, 100)
     assert 99 <= halved.num_faces <= 100
     middles = halved.vertices[halved.faces].mean(axis=1)
     assert np.sum(middles[:, 0] > 0) > 2.5 * np.sum(middles[:, 0] < -0.3)
@@ -140,14 +140,14 @@ def test_the_gaussians_in_the_file_lie_on_the_mesh_in_the_file(refined):
 
 def test_gaussians_of_the_run_stay_where_there_is_no_mesh(place, refined):
     """The mesh ends at 1 along x and y, the run's Gaussians, 0.4 apart, at 1.6."""
-    given, written = read_gaussians(place.run / "gaussians.ply"), read_gaussians(refined.out / "gaussians.ply")
-    free = written.means[BOUND:]
-    apart = np.linalg.norm(free[:, None] - given.means, axis=-1)
-    stayed, reach = apart.argmin(axis=1), np.abs(given.means[:, :2]).max(axis=1)
+    before, after = read_gaussians(place.run / "gaussians.ply"), read_gaussians(refined.out / "gaussians.ply")
+    free = after.means[BOUND:]
+    apart = np.linalg.norm(free[:, None] - before.means, axis=-1)
+    stayed, reach = apart.argmin(axis=1), np.abs(before.means[:, :2]).max(axis=1)
     assert 1e-6 < apart.min(axis=1).max() < 0.01, "trained for four steps"
     assert refined.report["free"] == len(free) == len(set(stayed))
     assert set(np.flatnonzero(reach > 1.5)) <= set(stayed) and reach[stayed].min() > 0.7
-    assert written.pixel_filter == "mip" and written.sh_rest.shape[1] == 3
+    assert after.pixel_filter == "mip" and after.sh_rest.shape[1] == 3
 
 
 def test_without_free_gaussians_those_of_the_run_need_not_be_there(place, tmp_path, monkeypatch):

@@ -34,7 +34,7 @@ def public(name):
     return getattr(rasterizer, name, None) or getattr(gsjax, name)
 
 
-def chosen(arrays, names):
+def arguments_of(arrays, names):
     return {name: arrays[source or name] for name, _, source in (item.partition(":") for item in names.split())}
 
 
@@ -45,31 +45,31 @@ def dimensions(hint):
 
 @EACH_CALL
 def test_a_call_takes_and_returns_the_stated_shapes_under_jit(arrays, name, names, options):
-    def call(given):
-        result = checked(name)(**given, **options)
+    def call(arguments):
+        result = checked(name)(**arguments, **options)
         for record in result if type(result) is tuple else [result]:
             if isinstance(record, Projection | TilePairs | Moments | gsjax.View | gsjax.Gaussians):
                 check_fields(record)
         return result
 
-    given = chosen(arrays, names)
-    call(given) if name == "from_points" else jax.eval_shape(jax.jit(call), given)
+    arguments = arguments_of(arrays, names)
+    call(arguments) if name == "from_points" else jax.eval_shape(jax.jit(call), arguments)
 
 
 @EACH_CALL
 def test_twice_the_columns_are_refused_where_a_number_or_another_argument_says_so(arrays, name, names, options):
-    given, hints = chosen(arrays, names), get_type_hints(public(name))
-    stated = {key: dimensions(hints[key]) for key in given}
+    arguments, hints = arguments_of(arrays, names), get_type_hints(public(name))
+    stated = {key: dimensions(hints[key]) for key in arguments}
     uses = Counter(dim for shapes in stated.values() for dim in {dim for shape in shapes for dim in shape})
     for key, shapes in stated.items():
         last = {shape[-1] for shape in shapes if shape} - {"..."}
         if last and all(dim.isdigit() or "{" in dim or uses[dim] > 1 for dim in last):
             with pytest.raises(TypeCheckError):
-                checked(name)(**{**given, key: given[key].repeat(2, -1)}, **options)
+                checked(name)(**{**arguments, key: arguments[key].repeat(2, -1)}, **options)
 
 
 def test_several_scenes_have_leading_dimensions_and_vmap_hides_them(arrays):
-    scenes = jax.tree.map(lambda array: jnp.stack([array] * 3), chosen(arrays, SPLATS))
+    scenes = jax.tree.map(lambda array: jnp.stack([array] * 3), arguments_of(arrays, SPLATS))
     projection = jax.vmap(lambda scene: checked("project")(**scene, **SIZE))(scenes)
     assert projection.conics.shape == (3, C, N, 3)
     how = SIZE | DENSE | {"colors": arrays["colors"]}

@@ -53,11 +53,11 @@ def texts(path: Path) -> list[str]:
         return [re.sub(r"^```.*?^```$|^ {4}.*?$|`[^`\n]*`", "", path.read_text(), flags=re.MULTILINE | re.DOTALL)]
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
     tree = ast.parse(path.read_text())
-    found = [ast.get_docstring(node) or "" for node in ast.walk(tree) if isinstance(node, kinds)]
+    strings = [ast.get_docstring(node) or "" for node in ast.walk(tree) if isinstance(node, kinds)]
     for node in ast.walk(tree):
         if isinstance(node, ast.keyword) and node.arg in ("help", "summary", "description"):
-            found += [str(part.value) for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
-    return [re.sub(r"`[^`\n]*`", "", text) for text in found]
+            strings += [str(part.value) for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
+    return [re.sub(r"`[^`\n]*`", "", text) for text in strings]
 
 
 def private_words(path: Path) -> list[str]:

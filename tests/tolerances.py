@@ -21,14 +21,14 @@ def assert_close(actual, expected, *, kind="value", why=None, rtol=None, atol=No
     actual_leaves, actual_tree = jax.tree.flatten_with_path(actual)
     expected_leaves, expected_tree = jax.tree.flatten(expected)
     assert actual_tree == expected_tree, f"{actual_tree} is not {expected_tree}"
-    for (path, leaf), wanted in zip(actual_leaves, expected_leaves, strict=True):
-        leaf, wanted = np.asarray(leaf), np.asarray(wanted)
+    for (path, leaf), expected_leaf in zip(actual_leaves, expected_leaves, strict=True):
+        leaf, expected_leaf = np.asarray(leaf), np.asarray(expected_leaf)
         name = jax.tree_util.keystr(path) or "array"
-        assert leaf.shape == wanted.shape, f"{name}: shape {leaf.shape} is not {wanted.shape}"
+        assert leaf.shape == expected_leaf.shape, f"{name}: shape {leaf.shape} is not {expected_leaf.shape}"
         default_rtol, default_atol = TOLERANCES[leaf.dtype][kind] if leaf.dtype in TOLERANCES else (0.0, 0.0)
         np.testing.assert_allclose(
             leaf,
-            wanted,
+            expected_leaf,
             rtol=default_rtol if rtol is None else rtol,
             atol=default_atol if atol is None else atol,
             equal_nan=False,

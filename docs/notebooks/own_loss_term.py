@@ -106,7 +106,7 @@ def trained(weights):
     size = extent(tuple(frames))
     optimizer = optimizers.make_optimizer(settings.rates, size, phase.steps)
     state = initial_state(initialize.from_points(*cloud, capacity=800, sh_degree=0), optimizer)
-    told = []
+    psnrs = []
     state = fit(
         settings,
         frames,
@@ -114,10 +114,10 @@ def trained(weights):
         state,
         optimizer,
         prior=lambda state: [],
-        observe=lambda progress: told.append(float(progress.metrics.psnr)),
+        observe=lambda progress: psnrs.append(float(progress.metrics.psnr)),
         terms=own,
     )
-    return state.gaussians, told
+    return state.gaussians, psnrs
 
 
 plain, psnr_plain = trained(Weights())

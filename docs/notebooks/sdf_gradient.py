@@ -160,15 +160,15 @@ def directions(gaussians):
 
 def mean_direction(gaussians):
     """Unit mean of the map where the plane covers the picture."""
-    shown, covered, overflowed = directions(gaussians)
+    direction_map, covered, overflowed = directions(gaussians)
     assert not overflowed
-    mean = np.asarray(shown)[np.asarray(covered)].mean(0)
+    mean = np.asarray(direction_map)[np.asarray(covered)].mean(0)
     return mean / np.linalg.norm(mean)
 
 
 for degrees in (0, 20, 35):
-    found, expected = mean_direction(plane_of_gaussians(degrees)), np.asarray(tilted(degrees))
-    off = np.degrees(np.arccos(min(1.0, float(found @ expected))))
+    direction, expected = mean_direction(plane_of_gaussians(degrees)), np.asarray(tilted(degrees))
+    off = np.degrees(np.arccos(min(1.0, float(direction @ expected))))
     print(f"plane tilted by {degrees:2} degrees: the map is off by {off:.2f} degrees")
     assert off < 2
 
@@ -179,11 +179,11 @@ for degrees in (0, 20, 35):
 # normal network that flips its sign does no harm. Against constant normals it is known in closed form.
 
 # %%
-shown, covered, _ = directions(plane_of_gaussians(0))
+direction_map, covered, _ = directions(plane_of_gaussians(0))
 
 
 def regulariser(degrees):
-    return float(sdf.misalignment(shown, jnp.broadcast_to(tilted(degrees), shown.shape), covered))
+    return float(sdf.misalignment(direction_map, jnp.broadcast_to(tilted(degrees), direction_map.shape), covered))
 
 
 angles = np.arange(0, 181, 10)
@@ -205,7 +205,7 @@ pyplot.show()
 # is least where surface and normals are at right angles.
 
 # %%
-wanted = jnp.broadcast_to(tilted(20), (HEIGHT, WIDTH, 3))
+target = jnp.broadcast_to(tilted(20), (HEIGHT, WIDTH, 3))
 
 
 def trained(loss_of_R, steps=40):
@@ -218,10 +218,10 @@ def trained(loss_of_R, steps=40):
     def step(free, moments):
         def loss(free):
             gaussians = Gaussians(**{**FRONTAL, "quats": free[1]}, means=free[0])
-            shown, covered, overflowed = directions(gaussians)
-            unit = jnp.where(covered[..., None], shown, 0)
-            cosine = jnp.sum(unit * wanted) / jnp.linalg.norm(jnp.sum(unit, (0, 1)))
-            return loss_of_R(sdf.misalignment(shown, wanted, covered)), (cosine, overflowed)
+            direction_map, covered, overflowed = directions(gaussians)
+            unit = jnp.where(covered[..., None], direction_map, 0)
+            cosine = jnp.sum(unit * target) / jnp.linalg.norm(jnp.sum(unit, (0, 1)))
+            return loss_of_R(sdf.misalignment(direction_map, target, covered)), (cosine, overflowed)
 
         (_, (cosine, overflowed)), gradient = jax.value_and_grad(loss, has_aux=True)(free)
         updates, moments = optimizer.update(gradient, moments)

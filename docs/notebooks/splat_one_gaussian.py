@@ -52,8 +52,8 @@ def picture(gaussian):
     return colors[0]
 
 
-shown = picture(gaussian)
-pyplot.imshow(shown)
+target = picture(gaussian)
+pyplot.imshow(target)
 pyplot.title("one Gaussian")
 pyplot.show()
 
@@ -69,7 +69,7 @@ variance_x, variance_y = (np.asarray(scales[0, :2]) * FOCAL / DEPTH) ** 2 + 0.3
 alpha = OPACITY * np.exp(-0.5 * (x**2 / variance_x + y**2 / variance_y))
 alpha[alpha < 1 / 255] = 0
 
-np.testing.assert_allclose(shown, alpha[..., None] * np.asarray(orange), atol=1e-5)
+np.testing.assert_allclose(target, alpha[..., None] * np.asarray(orange), atol=1e-5)
 
 
 # %% [markdown]
@@ -144,7 +144,7 @@ def step(means, log_scales):
             height=HEIGHT,
             capacity=256,  # of the lists of splats a tile; inside jit it cannot be counted
         )
-        return jnp.mean((colors[0] - shown) ** 2), info["overflowed"]
+        return jnp.mean((colors[0] - target) ** 2), info["overflowed"]
 
     (value, overflowed), (to_means, to_scales) = jax.value_and_grad(loss, (0, 1), has_aux=True)(means, log_scales)
     return means - 4.0 * to_means, log_scales - 4.0 * to_scales, value, overflowed
@@ -160,7 +160,7 @@ for _ in range(150):
 # %%
 end = picture({**gaussian, "means": means, "scales": jnp.exp(log_scales)})
 figure, panels = pyplot.subplots(1, 4, figsize=(13, 2.6))
-for panel, title, image in zip(panels, ("start", "end", "wanted"), (start, end, shown), strict=False):
+for panel, title, image in zip(panels, ("start", "end", "wanted"), (start, end, target), strict=False):
     panel.imshow(image)
     panel.set_title(title)
 panels[3].semilogy(losses)

@@ -113,7 +113,7 @@ def _met(splats: Splats, rules: Any) -> tuple[Any, Any]:
     opacities, listed = np.asarray(splats.opacities, np.float64), np.asarray(splats.pairs.splats)
     offsets = np.asarray(splats.pairs.offsets)
     rows, columns = np.indices((grid.tile_size, grid.tile_size)).reshape(2, -1)
-    found = []
+    per_tile = []
     for tile in range(grid.num_tiles):
         ids = listed[offsets[tile] : offsets[tile + 1]]
         column, row = tile % grid.tiles_x, tile // grid.tiles_x
@@ -123,10 +123,10 @@ def _met(splats: Splats, rules: Any) -> tuple[Any, Any]:
         a, b, c = conics[ids].T
         alphas = opacities[ids] * np.exp(-0.5 * (a * away_x**2 + c * away_y**2) - b * away_x * away_y)
         alphas = np.where(alphas < rules.alpha_min, 0, np.minimum(alphas, rules.alpha_max))
-        drawn = (alphas > 0) & (np.cumprod(1 - alphas, -1) > rules.transmittance_min)
-        pixel, place = np.nonzero(drawn)
-        found.append((ids[place], (down[inside] * grid.width + across[inside])[pixel]))
-    ids, pixels = (np.concatenate(each).astype(np.int64) for each in zip(*found, strict=True))
+        is_drawn = (alphas > 0) & (np.cumprod(1 - alphas, -1) > rules.transmittance_min)
+        pixel, place = np.nonzero(is_drawn)
+        per_tile.append((ids[place], (down[inside] * grid.width + across[inside])[pixel]))
+    ids, pixels = (np.concatenate(each).astype(np.int64) for each in zip(*per_tile, strict=True))
     order = np.argsort(pixels, kind="stable")
     return ids[order], pixels[order]
 
@@ -137,8 +137,8 @@ def _sums_along_rays(torch: Any) -> ModuleType:
     def render_weight_from_alpha(alphas, *, ray_indices, n_rays):
         del n_rays
         # In float64: one running sum over all rays would cost the last ones their digits.
-        seen = torch.cumsum(torch.log1p(-alphas.double()), 0)
-        before = seen - torch.log1p(-alphas.double())
+        log_transmittances = torch.cumsum(torch.log1p(-alphas.double()), 0)
+        before = log_transmittances - torch.log1p(-alphas.double())
         first = torch.searchsorted(ray_indices, ray_indices)
         transmittances = torch.exp(before - before[first]).to(alphas.dtype)
         return transmittances * alphas, transmittances

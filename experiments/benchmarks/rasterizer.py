@@ -74,7 +74,7 @@ def measure(name: str, backend: Any) -> dict[str, float]:
     }
 
 
-def main(chosen: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     """Measure and print."""
     # Run as a script, this file would be found before the package of its name.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
@@ -85,7 +85,7 @@ def main(chosen: Sequence[str] | None = None) -> None:
     parser.add_argument("--backend", choices=("native", "xla"), help="what is timed (default: what auto stands for)")
     parser.add_argument("--only", choices=names, help="one workload")
     parser.add_argument("--processes", type=int, default=PROCESSES, metavar="N", help="of which the quickest counts")
-    arguments = parser.parse_args(chosen)
+    arguments = parser.parse_args(argv)
     from rasterizer.engines import resolve
 
     backend = arguments.backend or resolve("auto")

@@ -146,9 +146,9 @@ def gsplat_of(scene: Scene) -> Callable[[], dict[str, float]] | None:
         for tensor in tensors[:5]:
             tensor.requires_grad_(True)
         torch.cuda.reset_peak_memory_stats()
-        held = torch.cuda.memory_allocated()
+        baseline = torch.cuda.memory_allocated()
         timed = {"forward_ms": milliseconds(forward)[1], "forward_backward_ms": milliseconds(both)[1]}
-        return {**timed, "workspace_mib": (torch.cuda.max_memory_allocated() - held) / 2**20}
+        return {**timed, "workspace_mib": (torch.cuda.max_memory_allocated() - baseline) / 2**20}
 
     return run
 
@@ -166,10 +166,10 @@ def steps_of(run: Path) -> dict[str, dict[str, float]]:
     from gsjax.settings import Settings
 
     result, scene = open_result(run), scene_of_run(run)
-    taken = steppers(
+    steps = steppers(
         config.parse(Settings, PRESETS["fast"]), result.gaussians, scene.train_frames, training_extent(scene)
     )
-    rows = {f"a step, {phase}": {"step_ms": milliseconds(once)[1]} for phase, once in taken.items()}
+    rows = {f"a step, {phase}": {"step_ms": milliseconds(once)[1]} for phase, once in steps.items()}
     cloud, camera = jax.tree.map(jnp.asarray, (result.gaussians, result.cameras[result.held_out.index(False)]))
     colors = rendering.colors(rendering.drawable(cloud), camera)
     shape = cloud.means, cloud.quats, gaussians.scales(cloud), gaussians.opacities(cloud), colors
@@ -177,7 +177,7 @@ def steps_of(run: Path) -> dict[str, dict[str, float]]:
     return rows if peer is None else {**rows, "gsplat, one view": peer()}
 
 
-def main(chosen: Sequence[str] | None = None) -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     """Compare, measure and print."""
     # A script beside this one has the name of the package.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
@@ -186,7 +186,7 @@ def main(chosen: Sequence[str] | None = None) -> None:
     parser.add_argument("--counts", nargs="+", choices=COUNTS, default=list(COUNTS), help="numbers of Gaussians")
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES), help="image sizes")
     parser.add_argument("--run", type=Path, metavar="RUN", help="a finished run, whose training steps are timed too")
-    arguments = parser.parse_args(chosen)
+    arguments = parser.parse_args(argv)
     import jax
 
     from gsjax.io.machine import machine, versions

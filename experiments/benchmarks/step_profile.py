@@ -32,12 +32,12 @@ def traced_with(engine: str) -> Iterator[None]:
     """Within, "auto" stands for an engine, in whatever is traced."""
     from rasterizer import engines
 
-    kept = engines.resolve
-    engines.resolve = lambda backend: engine if backend == "auto" else kept(backend)
+    original = engines.resolve
+    engines.resolve = lambda backend: engine if backend == "auto" else original(backend)
     try:
         yield
     finally:
-        engines.resolve = kept
+        engines.resolve = original
 
 
 def parts(run: Path) -> dict[str, Callable[[], Any]]:
@@ -126,7 +126,7 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
 
     optimizer, key = make_optimizer(settings.rates, extent, settings.schedule.steps), jax.random.key(0)
     facing = [np.tile(np.array([0, 0, -127], np.int8), (frame.height, frame.width, 1)) for frame in frames]
-    taken = {}
+    by_phase = {}
     for phase in plan(settings).phases:
         scale = phase.scale * phase.surface_scale
         data = with_neighbors(batches.read_batches(frames, scale=scale), extent)
@@ -145,8 +145,8 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
             depth_mode=settings.model.depth_mode,
             extent=extent,
         )
-        taken[phase.name] = _stepper(step, state, one_view(data, 0, 0.5)(0), key)
-    return taken
+        by_phase[phase.name] = _stepper(step, state, one_view(data, 0, 0.5)(0), key)
+    return by_phase
 
 
 def _stepper(step: Callable, state: Any, target: Any, key: Any) -> Callable[[], Any]:
@@ -195,14 +195,14 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--processes", type=int, default=3)
     arguments = parser.parse_args()
-    told = []
+    measurements = []
     for _ in range(arguments.processes):
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
-            told.append(pool.submit(measure, arguments.run, arguments.rounds).result())
-    quickest = min(told, key=lambda each: sum(figures[0] for figures in each.values()))
+            measurements.append(pool.submit(measure, arguments.run, arguments.rounds).result())
+    quickest = min(measurements, key=lambda each: sum(figures[0] for figures in each.values()))
     rows = {}
     for part, (native, xla, ratio) in quickest.items():
-        others = [each[part][2] for each in told]
+        others = [each[part][2] for each in measurements]
         rows[part] = {
             "native, ms": f"{native:.1f}",
             "jnp, ms": f"{xla:.1f}",

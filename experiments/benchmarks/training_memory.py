@@ -62,13 +62,13 @@ def measure(out: Path, rows: int, size: tuple[int, int]) -> dict[str, float]:
     if not cloud.exists():
         _write_cloud(cloud, scene, rows // 2)
     run = out / "run_{}_{}x{}".format(rows, *size)
-    asked = [sys.executable, "-c", CHILD, str(scene), str(run), json.dumps(
+    command = [sys.executable, "-c", CHILD, str(scene), str(run), json.dumps(
         {**SETTINGS, "model": {**MODEL, "max_gaussians": rows, "points": str(cloud.resolve())}})]  # fmt: skip
     compiling = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(run) + ".programs"}  # Nobody compiled them before.
-    told = subprocess.run(asked, stdout=subprocess.PIPE, text=True, check=True, env=compiling).stdout
-    found = json.loads(told.splitlines()[-1])
-    mib = (found["peak"] - found["before"]) / 2**20
-    return {"gaussians": found["gaussians"], "megapixels": size[0] * size[1] / 1e6, "before": found["before"] / 2**20,
+    output = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=compiling).stdout
+    report = json.loads(output.splitlines()[-1])
+    mib = (report["peak"] - report["before"]) / 2**20
+    return {"gaussians": report["gaussians"], "megapixels": size[0] * size[1] / 1e6, "before": report["before"] / 2**20,
             "taken": mib}  # fmt: skip
 
 
@@ -103,13 +103,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder for scenes and runs")
     parser.add_argument("--rows", type=int, nargs="+", default=[50_000, 200_000, 800_000])
     parser.add_argument("--sizes", nargs="+", default=["640x480", "2560x1920"], metavar="WxH")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
     cases = {}
-    for text in given.sizes:
+    for text in arguments.sizes:
         width, _, height = text.partition("x")
-        for rows in given.rows:
-            cases[f"{rows:,} rows, {text}"] = measure(given.out, rows, (int(width), int(height)))
+        for rows in arguments.rows:
+            cases[f"{rows:,} rows, {text}"] = measure(arguments.out, rows, (int(width), int(height)))
     print(tables.compare(cases))
     print(tables.record({**machine(), **versions()}))
 

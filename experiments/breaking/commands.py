@@ -164,8 +164,8 @@ def start_command(
 
 def finished(process: subprocess.Popen) -> tuple[int, str]:
     """Exit code and stderr, without the steps of progress bars."""
-    told = process.communicate()[1]
-    return process.returncode, "\n".join(line.rpartition("\r")[2] for line in told.split("\n"))
+    stderr = process.communicate()[1]
+    return process.returncode, "\n".join(line.rpartition("\r")[2] for line in stderr.split("\n"))
 
 
 def products(folder: Path, command: Command, out: str) -> dict[str, bytes]:
@@ -189,14 +189,14 @@ def whole(folder: Path, name: str) -> float:
     command, file = COMMANDS[name], folder / "seconds.json"
     for need in command.needs:
         whole(folder, need)
-    known = json.loads(file.read_text()) if file.exists() else {}
-    if name not in known and command.again != NEVER:
-        known[name] = _called(folder, name, command.out)
-        if known[name] > COMPILING:
-            known[name] = _called(folder, name, f"again/{command.out}")
+    seconds = json.loads(file.read_text()) if file.exists() else {}
+    if name not in seconds and command.again != NEVER:
+        seconds[name] = _called(folder, name, command.out)
+        if seconds[name] > COMPILING:
+            seconds[name] = _called(folder, name, f"again/{command.out}")
             assert products(folder, command, f"again/{command.out}") == products(folder, command, command.out), name
-        file.write_text(json.dumps(known))
-    return known.get(name, 10.0)
+        file.write_text(json.dumps(seconds))
+    return seconds.get(name, 10.0)
 
 
 def _called(folder: Path, name: str, out: str) -> float:
@@ -205,8 +205,8 @@ def _called(folder: Path, name: str, out: str) -> float:
         shutil.rmtree(folder / out)
     prepare(folder, COMMANDS[name], out)
     began = time.monotonic()
-    code, told = finished(start_command(folder, COMMANDS[name], out))
-    assert code == 0, f"{name} ended with {code}: {told[-2000:]}"
+    code, stderr = finished(start_command(folder, COMMANDS[name], out))
+    assert code == 0, f"{name} ended with {code}: {stderr[-2000:]}"
     return time.monotonic() - began
 
 

@@ -41,13 +41,13 @@ def _damaged(folder: Path, tests: str, most: int) -> list[str]:
     log.unlink(missing_ok=True)
     counts = {"GSJAX_FUZZ": str(TIMES), "GSJAX_FUZZ_DAMAGES": str(most), "GSJAX_FUZZ_LOG": str(log)}
     where, _, named = tests.partition(" -k ")
-    chosen = f"test_fuzz and {named}" if named else "test_fuzz"
-    asked = [sys.executable, "-m", "pytest", "--numprocesses", "0", "-p", "no:cacheprovider", "-k", chosen, where]
+    expression = f"test_fuzz and {named}" if named else "test_fuzz"
+    command = [sys.executable, "-m", "pytest", "--numprocesses", "0", "-p", "no:cacheprovider", "-k", expression, where]
     environment = {**os.environ, **counts, "PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run(asked, cwd=ROOT, env=environment, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert log.exists(), done.stdout[-3000:]
-    found = [json.loads(line) for line in log.read_text().splitlines()]
-    tried, read, refused = (sum(test[count] for test in found) for count in ("tried", "read", "refused"))
-    if read + refused < tried:
+    records = [json.loads(line) for line in log.read_text().splitlines()]
+    attempts, read, refused = (sum(test[count] for test in records) for count in ("tried", "read", "refused"))
+    if read + refused < attempts:
         print(done.stdout[-3000:], file=sys.stderr)
-    return [f"{read + refused:,} of {tried:,}, {read:,} read"]
+    return [f"{read + refused:,} of {attempts:,}, {read:,} read"]

@@ -29,7 +29,7 @@ def _filled(folder: Path, name: str) -> list[str]:
     size = _size(folder / COMMANDS[name].out)
     chance = random.Random(name)
     sizes = [chance.randrange(0, size, PAGE) for _ in range(TIMES)]
-    return [f"{size / 1e3:,.0f} kB", f"{sum(_held(folder, name, room) for room in sizes)} of {TIMES}"]
+    return [f"{size / 1e3:,.0f} kB", f"{sum(_ends_cleanly(folder, name, room) for room in sizes)} of {TIMES}"]
 
 
 def _size(path: Path) -> int:
@@ -37,19 +37,19 @@ def _size(path: Path) -> int:
     return sum(-(-file.stat().st_size // PAGE) * PAGE for file in files)
 
 
-def _held(folder: Path, name: str, room: int) -> bool:
+def _ends_cleanly(folder: Path, name: str, room: int) -> bool:
     """Calls the command with so many bytes of disk: one line says that it is full, and nothing is half-written."""
     (folder / "full").mkdir(exist_ok=True)
     before = ("unshare", "--map-root-user", "--mount", "sh", "-c", MOUNTED, str(room))
-    code, told = finished(start_command(folder, COMMANDS[name], f"full/{COMMANDS[name].out}", before=before))
-    told, _, left = told.rpartition("\n\n")
-    last = told.rstrip().rpartition("\n")[2]
-    held = (
+    code, stderr = finished(start_command(folder, COMMANDS[name], f"full/{COMMANDS[name].out}", before=before))
+    stderr, _, left = stderr.rpartition("\n\n")
+    last = stderr.rstrip().rpartition("\n")[2]
+    is_clean = (
         code == 2
         and last.startswith("gsjax: error:")
         and ("No space left" in last or "bytes left" in last)
         and not left.strip()
     )
-    if not held:
-        print(f"{name}, {room} bytes: code {code}, left {left}\n{told[-3000:]}", file=sys.stderr)
-    return held
+    if not is_clean:
+        print(f"{name}, {room} bytes: code {code}, left {left}\n{stderr[-3000:]}", file=sys.stderr)
+    return is_clean

@@ -24,8 +24,8 @@ def rows(folder: Path) -> Rows:
 
 def _helped(folder: Path) -> str:
     def ran(program: str, *arguments: str) -> subprocess.CompletedProcess:
-        asked = [sys.executable, "-c", program, *arguments]
-        return subprocess.run(asked, env=environment(folder), capture_output=True, text=True)
+        command = [sys.executable, "-c", program, *arguments]
+        return subprocess.run(command, env=environment(folder), capture_output=True, text=True)
 
     codes = [ran(HELP, name).returncode for name in ran(NAMES).stdout.split()]
     return f"{codes.count(0)} of {len(codes)}"

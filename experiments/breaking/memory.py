@@ -104,15 +104,15 @@ print(sum(each.stat().st_size for each in files) / 1e6, size(found) / 1e6, taken
 
 def rows(folder: Path) -> Rows:
     """A row a kind of files."""
-    return {kind: [partial(_taken, folder / "memory", *FILES[kind])] for kind in FILES}
+    return {kind: [partial(_memory_row, folder / "memory", *FILES[kind])] for kind in FILES}
 
 
-def _taken(folder: Path, name: str, write: str) -> list[str]:
+def _memory_row(folder: Path, name: str, write: str) -> list[str]:
     """A process writes the file; another, which is as large as its libraries make it, reads it."""
     folder.mkdir(parents=True, exist_ok=True)
     imports = "\n".join(line for line in write.splitlines() if line.startswith(("from", "import")))
     for body, more in ((write, ["only"]), (imports, [])):
-        asked = [sys.executable, "-c", READ.replace("WRITE", body), name, *more]
-        done = subprocess.run(asked, cwd=folder, env=environment(folder), check=True, capture_output=True, text=True)
+        command = [sys.executable, "-c", READ.replace("WRITE", body), name, *more]
+        done = subprocess.run(command, cwd=folder, env=environment(folder), check=True, capture_output=True, text=True)
     of_file, returned, times = map(float, done.stdout.split())
     return [f"{of_file:,.0f}", f"{returned:,.0f}", f"{times:.1f}"]

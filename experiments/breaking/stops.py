@@ -40,11 +40,11 @@ def _stopped(folder: Path, name: str, number: signal.Signals) -> list[str]:
     seconds, chance = whole(folder, name), random.Random(f"{name} {number.name}")
     times = min(max(int(CELL / (A_TRY * seconds)), TIMES[0]), TIMES[-1])
     moments = [chance.uniform(0.05, 1.0) * seconds for _ in range(times)]
-    held = sum(_held(folder, name, number, moment, f"{number.name}_{i}") for i, moment in enumerate(moments))
-    return [f"{held} of {times}"]
+    successes = sum(_survives(folder, name, number, moment, f"{number.name}_{i}") for i, moment in enumerate(moments))
+    return [f"{successes} of {times}"]
 
 
-def _held(folder: Path, name: str, number: signal.Signals, moment: float, mark: str) -> bool:
+def _survives(folder: Path, name: str, number: signal.Signals, moment: float, mark: str) -> bool:
     """Stops the command once, after so many seconds, and calls it again."""
     command = COMMANDS[name]
     out = f"{mark}/{command.out}"  # Pages name the folder of a run.
@@ -52,20 +52,20 @@ def _held(folder: Path, name: str, number: signal.Signals, moment: float, mark: 
     process = start_command(folder, command, out)
     time.sleep(moment)
     process.send_signal(number)
-    code, told = finished(process)
-    fair = code in CODES[number] | {0} and (code in (0, -2) or "Traceback" not in told)
+    code, stderr = finished(process)
+    fair = code in CODES[number] | {0} and (code in (0, -2) or "Traceback" not in stderr)
     if name == "demo":  # It asks for the folder to be removed.
         shutil.rmtree(folder / out, ignore_errors=True)
     done = _same(folder, command, out)
     if command.again != NEVER:
         more = ("--resume",) if command.again == RESUME and (folder / out).exists() else ()
-        again, told_again = finished(start_command(folder, command, out, *more))
-        told += told_again
+        again, stderr_again = finished(start_command(folder, command, out, *more))
+        stderr += stderr_again
         fair = fair and (again == 0 or (done and again == 2))  # Which says that it is there.
     same = fair and _same(folder, command, out)
     left = leftovers(folder)
     if not (fair and same and not left):
-        print(f"{name}, {number.name} after {moment:.2f} s: code {code}, same {same}, left {left}\n{told[-3000:]}",
+        print(f"{name}, {number.name} after {moment:.2f} s: code {code}, same {same}, left {left}\n{stderr[-3000:]}",
               file=sys.stderr)  # fmt: skip
         return False
     shutil.rmtree(folder / mark, ignore_errors=True)

@@ -91,10 +91,12 @@ def _trained(folder: Path, scene: str, run: str, *, seed: int) -> None:
     """Leaves a run and its mesh."""
     train = ("train", scene, "--preset", "quick", "--effects", "none", "--set", *SETTINGS, f"seed={seed}", "--out")
     for arguments, out in ((train, run), (("mesh", run, "--out"), f"{run}.ply")):
-        code, told = finished(start_command(folder, Command(arguments, out), out))
-        assert code == 0, told[-2000:]
+        code, stderr = finished(start_command(folder, Command(arguments, out), out))
+        assert code == 0, stderr[-2000:]
 
 
 def _python(folder: Path, program: str, *arguments: str) -> str:
-    asked = [sys.executable, "-c", program, *arguments]
-    return subprocess.run(asked, cwd=folder, env=environment(folder), check=True, capture_output=True, text=True).stdout
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(
+        command, cwd=folder, env=environment(folder), check=True, capture_output=True, text=True
+    ).stdout

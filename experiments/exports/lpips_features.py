@@ -42,5 +42,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("net", choices=("vgg", "alex", "squeeze"))
     parser.add_argument("out", type=Path)
-    given = parser.parse_args()
-    export(given.net, given.out)
+    arguments = parser.parse_args()
+    export(arguments.net, arguments.out)

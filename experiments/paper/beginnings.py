@@ -23,8 +23,8 @@ def nearest(folders: Iterable[Path], settings: Settings) -> Path | None:
     for folder in filter(runs.is_finished, folders):
         theirs = config.parse(Settings, runs.read_settings(folder), where=f"{folder}/config.json")
         if _beside_phases(theirs) == _beside_phases(settings):
-            found = runs.latest_checkpoint(folder, steps_in_common(Run.open(folder).plan, mine))
-            saved |= {found[0]: folder} if found else {}
+            checkpoint = runs.latest_checkpoint(folder, steps_in_common(Run.open(folder).plan, mine))
+            saved |= {checkpoint[0]: folder} if checkpoint else {}
     return saved[max(saved)] if saved else None
 
 

@@ -51,11 +51,11 @@ def method_name(schedule: str, kind: str) -> str:
 
 def methods(schedules: Iterable[str]) -> list[str]:
     """The names of all rows that schedules make, in the order of `SCHEDULES`."""
-    asked = set(schedules)
+    selection = set(schedules)
     return [
         method_name(name, kind)
         for name, schedule in SCHEDULES.items()
-        if name in asked
+        if name in selection
         for kind in KINDS
         if kind == "coarse" or schedule.refinement
     ]
@@ -70,16 +70,16 @@ def found_runs(out: str | Path) -> list[tuple[str, str, int, dict[str, Any]]]:
     """Scene, schedule, seed and result of every run that has one, finished or not."""
     from gsjax.io import json_files
 
-    found = []
+    results = []
     for scene in SCENES:
         for file in sorted((Path(out) / scene).glob("*/result.json")):
             schedule, _, seed = file.parent.name.rpartition("_")
             if schedule in SCHEDULES and seed.isdecimal():
-                found.append((scene, schedule, int(seed), json_files.read(file)))
-    return found
+                results.append((scene, schedule, int(seed), json_files.read(file)))
+    return results
 
 
-def measurements(found: Iterable[tuple[str, str, int, dict[str, Any]]]) -> list[Measured]:
+def measurements(results: Iterable[tuple[str, str, int, dict[str, Any]]]) -> list[Measured]:
     """The scores in the results of runs."""
     return [
         Measured(
@@ -88,7 +88,7 @@ def measurements(found: Iterable[tuple[str, str, int, dict[str, Any]]]) -> list[
             seed,
             *(result[kind].get(k) for k in ("psnr", "ssim", LPIPS, "gaussians", SQUEEZE)),
         )  # fmt: skip
-        for scene, schedule, seed, result in found
+        for scene, schedule, seed, result in results
         for kind in KINDS
         if kind in result
     ]

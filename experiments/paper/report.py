@@ -91,13 +91,13 @@ def _averages(
     return [_measured_row(method, average(measured, method, scenes), scenes, remarks) for method in methods]
 
 
-def _measured_row(method: str, found: Average, scenes: Sequence[str], remarks: dict[str, str]) -> Row:
-    named = f" ({', '.join(found.scenes)})" if 0 < len(found.scenes) < len(scenes) else ""
-    over = str(len(scenes)) if len(found.scenes) == len(scenes) else f"{len(found.scenes)} of {len(scenes)}{named}"
-    fewest, most = found.seeds
+def _measured_row(method: str, scores: Average, scenes: Sequence[str], remarks: dict[str, str]) -> Row:
+    named = f" ({', '.join(scores.scenes)})" if 0 < len(scores.scenes) < len(scenes) else ""
+    over = str(len(scenes)) if len(scores.scenes) == len(scenes) else f"{len(scores.scenes)} of {len(scenes)}{named}"
+    fewest, most = scores.seeds
     seeds = DASH if not most else str(most) if fewest == most else f"{fewest} to {most}"
-    said = tuple(remarks[scene] for scene in found.scenes if scene in remarks)
-    return Row(method, found.values, over, seeds, "measured" if found.scenes else DASH, said)
+    notes = tuple(remarks[scene] for scene in scores.scenes if scene in remarks)
+    return Row(method, scores.values, over, seeds, "measured" if scores.scenes else DASH, notes)
 
 
 def format_cell(value: Value | None, metric: str) -> str:
@@ -125,9 +125,9 @@ class _Notes:
 COLUMNS = ("Method", *HEADINGS.values(), "Scenes", "Seeds", "Source")
 
 
-def markdown(made: Sequence[Table]) -> str:
+def markdown(paper_tables: Sequence[Table]) -> str:
     """All tables, each with its notes below."""
-    return "\n".join(_markdown_table(table) for table in made)
+    return "\n".join(_markdown_table(table) for table in paper_tables)
 
 
 def _markdown_table(table: Table) -> str:
@@ -148,13 +148,13 @@ def _piped(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
-def comma_separated(made: Sequence[Table]) -> str:
+def comma_separated(paper_tables: Sequence[Table]) -> str:
     """One line a row; means and spreads in columns of their own, a dash where there is none."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     figures = [name for metric in METRICS for name in (metric, f"{metric}_spread")]
     writer.writerow(["table", "over", "method", *figures, "scenes", "seeds", "source", "notes"])
-    for table in made:
+    for table in paper_tables:
         for block in [*table.averages, *table.scenes]:
             for row in block.rows:
                 numbers = [_number(x) for metric in METRICS for x in (row.values[metric] or (None, None))]

@@ -105,11 +105,11 @@ def settings_of(scene: str, schedule: str, seed: int, assignments: Sequence[str]
     Raises:
         InputError: An assignment's key is unknown, or its value wrong.
     """
-    chosen, place = SCHEDULES[schedule], SCENES[scene]
+    plan, place = SCHEDULES[schedule], SCENES[scene]
     own: dict[str, Any] = {"photos": {"images": place.images}, "seed": seed}
-    if chosen.regulariser == R:
+    if plan.regulariser == R:
         own["schedule"] = {"phases": {"surface": {"weights": {"sdf_normal": place.lambda_r}}}}
-    merged = config.merge(PRESETS[chosen.preset], SHARED, chosen.differences, own)
+    merged = config.merge(PRESETS[plan.preset], SHARED, plan.differences, own)
     whole = config.to_dict(config.parse(Settings, merged, where=scene))
     return config.parse(Settings, config.override(whole, assignments), where="--set")
 
@@ -128,7 +128,7 @@ def discover(root: str | Path) -> tuple[dict[str, Path], list[str]]:
     root = Path(root)
     if not root.is_dir():
         raise InputError(f"{root}: no such folder")
-    found: dict[str, Path] = {}
+    folders: dict[str, Path] = {}
     faults: list[str] = []
     for name, scene in SCENES.items():
         for folder in (root / nest / name for nest in NESTS):
@@ -138,12 +138,12 @@ def discover(root: str | Path) -> tuple[dict[str, Path], list[str]]:
                 faults.append(f"{folder}: is no data set, left out")
             elif not (folder / scene.images).is_dir():
                 faults.append(f"{folder}: has no {scene.images}/, which the paper's tables are of; left out")
-            elif name in found:
-                raise InputError(f"{root}: {name} lies there twice, as {found[name]} and as {folder}")
+            elif name in folders:
+                raise InputError(f"{root}: {name} lies there twice, as {folders[name]} and as {folder}")
             else:
-                found[name] = folder
-    if not found:
+                folders[name] = folder
+    if not folders:
         nests = ", ".join(nest for nest in NESTS if nest)
         reason = f"; {faults[0]}" if faults else ""
         raise InputError(f"{root}: holds none of {', '.join(SCENES)}, neither itself nor in {nests}{reason}")
-    return found, faults
+    return folders, faults

@@ -29,10 +29,10 @@ def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:
     index = next(i for i, held_out in enumerate(result.held_out) if not held_out)
     camera, frame = result.cameras[index], frames[index]
     assert frame.name == result.names[index], "a run keeps the order of its data set"
-    after = _drawn(result, result.gaussians, camera)
+    after = _picture(result, result.gaussians, camera)
     panels = {f"photo, {frame.name}": frame.pixels().image, "render": to_bytes(after.colors)}
     if (out / "before.ply").exists():
-        before = _drawn(result, read_gaussians(out / "before.ply"), camera)
+        before = _picture(result, read_gaussians(out / "before.ply"), camera)
         panels[f"normals before {regulariser}"] = surface_picture(before.depth, camera)
     panels[f"normals after {regulariser}"] = surface_picture(after.depth, camera)
     maps = map_places([f for f in frames if not f.held_out])
@@ -50,5 +50,5 @@ def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:
     return list(panels)
 
 
-def _drawn(result: Result, gaussians: Gaussians, camera: Camera) -> gallery.Picture:
+def _picture(result: Result, gaussians: Gaussians, camera: Camera) -> gallery.Picture:
     return next(gallery.pictures(gaussians, [camera], result.background, result.depth_mode))

@@ -82,11 +82,11 @@ def sugar_density(gaussians: Gaussians, view: View, batch: Batch, around: Around
     del batch
 
     def misfit(sample: Sample) -> tuple[Array, Array]:
-        found = density_field.density(sample.point, sample.nearby)
-        found = found / jnp.maximum(jax.lax.stop_gradient(found), 1)  # 1 where it is more, and still with a slope
+        density = density_field.density(sample.point, sample.nearby)
+        density = density / jnp.maximum(jax.lax.stop_gradient(density), 1)  # 1 where it is more, and still with a slope
         deviations = jnp.sum((sample.point - sample.mean) * sample.normal) / jnp.maximum(sample.beta, THINNEST)
         deviations = jnp.clip(deviations, -density_field.MAX_DISTANCE, density_field.MAX_DISTANCE)
-        return jnp.abs(found - jnp.exp(-0.5 * deviations * deviations)), jnp.array(True)
+        return jnp.abs(density - jnp.exp(-0.5 * deviations * deviations)), jnp.array(True)
 
     value, disagreement = _means(misfit, gaussians, around, view.splats.projection.visible[0])
     return value + disagreement
@@ -119,10 +119,10 @@ def _disagreement(sample: Sample, normals: Array, thickness: Array) -> Array:
     The weights are those with which flat Gaussians make the density's gradient, and carry no gradient themselves.
     """
     normals = face_camera(normals, sample.normal[None])
-    held = jax.lax.stop_gradient
-    off_plane = held(jnp.abs(jnp.sum((sample.point[None] - sample.nearby.means) * normals, axis=-1)))
-    density = held(density_field.contributions(sample.point, sample.nearby))
-    weights = density * off_plane / held(jnp.maximum(thickness, THINNEST)) ** 2
+    constant = jax.lax.stop_gradient
+    off_plane = constant(jnp.abs(jnp.sum((sample.point[None] - sample.nearby.means) * normals, axis=-1)))
+    density = constant(density_field.contributions(sample.point, sample.nearby))
+    weights = density * off_plane / constant(jnp.maximum(thickness, THINNEST)) ** 2
     weights = weights / jnp.maximum(jnp.sum(weights), THINNEST)
     return jnp.sum(jnp.square(sample.normal - jnp.sum(weights[:, None] * normals, axis=0)))
 

@@ -78,7 +78,7 @@ def _listed(
     opacities = jax.lax.stop_gradient(_single(opacities))
     cuts = sigma_cuts(jnp.broadcast_to(opacities, p.depths.shape), rules)
     sizes = np.array([grid.tiles_x, grid.tiles_y, grid.tile_size, grid.num_cameras], np.int32)
-    wanted = jnp.zeros(0, bool) if masks is None else masks.reshape(-1)
+    tile_mask = jnp.zeros(0, bool) if masks is None else masks.reshape(-1)
     return (
         p.means2d.reshape(-1, 2),
         p.conics.reshape(-1, 3),
@@ -86,7 +86,7 @@ def _listed(
         p.extents.reshape(-1, 2),
         p.visible.reshape(-1),
         cuts.reshape(-1),
-        wanted,
+        tile_mask,
         jnp.asarray(sizes),
     )
 

@@ -152,9 +152,9 @@ def address_of(typingctx, name):
 
     def codegen(context, builder, signature, arguments):
         module = builder.module
-        found = module.globals.get(name.literal_value)
+        symbol = module.globals.get(name.literal_value)
         kind = ir.FunctionType(WORD, [WORD])
-        return builder.ptrtoint(found or ir.Function(module, kind, name.literal_value), WORD)
+        return builder.ptrtoint(symbol or ir.Function(module, kind, name.literal_value), WORD)
 
     return types.int64(name), codegen
 

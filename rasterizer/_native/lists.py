@@ -89,18 +89,18 @@ def order_by_depth(depths, visible, count, order, keys, other_order, other_keys)
         other_order: Workspace.
         other_keys: Workspace.
     """
-    shown = 0
+    num_visible = 0
     for splat in range(count):
         if visible[splat]:
-            other_keys[shown], other_order[shown] = depths[splat], splat
-            shown += 1
+            other_keys[num_visible], other_order[num_visible] = depths[splat], splat
+            num_visible += 1
     # Three digits of 32 bits: an odd number of passes ends in `order`.
     for digit in range(3):
         if digit == 1:
-            sort_by_digit(order, keys, other_order, other_keys, shown, digit * DIGIT)
+            sort_by_digit(order, keys, other_order, other_keys, num_visible, digit * DIGIT)
         else:
-            sort_by_digit(other_order, other_keys, order, keys, shown, digit * DIGIT)
-    return shown
+            sort_by_digit(other_order, other_keys, order, keys, num_visible, digit * DIGIT)
+    return num_visible
 
 
 @inlined
@@ -174,13 +174,13 @@ def band_of(row, rows):
 @inlined
 def write_chunk(job, chunk):
     """Writes where some of the ordered splats are, one after the other, so that the bands read them in one sweep."""
-    shown, order = word(job, _SHOWN), as_int32s(word(job, _ORDER))
+    num_visible, order = word(job, _SHOWN), as_int32s(word(job, _ORDER))
     means2d, conics = floats(list_argument(job, 0)), floats(list_argument(job, 1))
     extents, cuts, sizes = floats(list_argument(job, 3)), floats(list_argument(job, 5)), int32s(list_argument(job, 7))
     across, down, side = np.float32(sizes[_ACROSS]), np.float32(sizes[_DOWN]), np.float32(sizes[_SIDE])
     per_camera = max(length(list_argument(job, 2), 0) // sizes[_CAMERAS], 1)
-    for k in range(shown * chunk // CHUNKS, shown * (chunk + 1) // CHUNKS):
-        splat, later = np.int64(order[k]), np.int64(order[min(k + AHEAD, shown - 1)])
+    for k in range(num_visible * chunk // CHUNKS, num_visible * (chunk + 1) // CHUNKS):
+        splat, later = np.int64(order[k]), np.int64(order[min(k + AHEAD, num_visible - 1)])
         prefetch(floats_at(means2d, 2 * later))
         prefetch(floats_at(conics, 3 * later))
         prefetch(floats_at(extents, 2 * later))
@@ -348,8 +348,10 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
         set_word(job, _SPANS, at_spans)
         set_word(job, _COUNTS, at_counts)
         depths, visible = int32s(list_argument(job, 2)), flags(list_argument(job, 4))
-        shown = order_by_depth(depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count))
-        set_word(job, _SHOWN, shown)
+        num_visible = order_by_depth(
+            depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count)
+        )
+        set_word(job, _SHOWN, num_visible)
         done = share_step(job, _WRITE, CHUNKS)
     if done:
         set_word(job, _NEEDED, share_out(job))

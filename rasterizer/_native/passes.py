@@ -79,10 +79,10 @@ def thresholds(numbers):
 @inlined
 def first_tile(offsets, tiles, band):
     """Where a band begins: each has about as many pairs as the others."""
-    wanted, low, high = offsets[tiles] * band // BANDS, 0, tiles
+    first_pair, low, high = offsets[tiles] * band // BANDS, 0, tiles
     while low < high:
         middle = (low + high) // 2
-        if offsets[middle] < wanted:
+        if offsets[middle] < first_pair:
             low = middle + 1
         else:
             high = middle
@@ -116,16 +116,16 @@ def gather(rows, count, on, in_front, splats, pairs, alpha_min, places, ids, nea
         The number of copies.
     """
     through = at_least_three(on)
-    given, width, copies = GEOMETRY + on + in_front, CHANNELS + through + in_front, 0
+    row_size, width, copies = GEOMETRY + on + in_front, CHANNELS + through + in_front, 0
     for splat in range(count):
         places[splat] = -1
     for k in range(pairs):
-        prefetch(floats_at(rows, np.int64(splats[min(k + AHEAD, pairs - 1)]) * given))
+        prefetch(floats_at(rows, np.int64(splats[min(k + AHEAD, pairs - 1)]) * row_size))
         # Lists may come from a caller: what is no splat must not be read.
         splat = min(max(np.int64(splats[k]), 0), count - 1)
         if places[splat] < 0:
             places[splat] = copies
-            row, copy = floats_at(rows, splat * given), floats_at(near, copies * width)
+            row, copy = floats_at(rows, splat * row_size), floats_at(near, copies * width)
             for c in range(GEOMETRY):
                 copy[c] = row[c]
             for c in range(CHANNELS, width):
@@ -157,9 +157,9 @@ def int32s_of(job, place):
 @inlined
 def shape_of(job):
     """Splats, channels blended to the end, channels that end in front, numbers of a copied row, and side of a tile."""
-    sizes, given = int32s_of(job, _SIZES), word(job, _GIVEN)
+    sizes, row_size = int32s_of(job, _SIZES), word(job, _GIVEN)
     in_front = np.int64(sizes[_IN_FRONT])
-    on = given - GEOMETRY - in_front
+    on = row_size - GEOMETRY - in_front
     return word(job, _COUNT), on, in_front, CHANNELS + at_least_three(on) + in_front, np.int64(sizes[_SIDE])
 
 
@@ -234,12 +234,12 @@ def unblend_band(job, band):
 @inlined
 def add_chunk(job, chunk):
     """Adds what the bands summed for some of the rows, and applies the chain rule of `compositing.chain_to_rows`."""
-    rows, d_rows, given = floats_of(job, _ROWS), floats_of(job, _D_ROWS), word(job, _GIVEN)
+    rows, d_rows, row_size = floats_of(job, _ROWS), floats_of(job, _D_ROWS), word(job, _GIVEN)
     count, on, in_front, width, _ = shape_of(job)
     through = at_least_three(on)
     for splat in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
-        row, total = floats_at(rows, splat * given), floats_at(d_rows, splat * given)
-        for c in range(given):
+        row, total = floats_at(rows, splat * row_size), floats_at(d_rows, splat * row_size)
+        for c in range(row_size):
             total[c] = ZERO
         for band in range(BANDS):
             places, sums_of_band = as_int32s(word(job, _BANDS + 2 * band)), as_floats(word(job, _BANDS + 2 * band + 1))

@@ -20,8 +20,8 @@ BENCHMARKS = Path(__file__).resolve().parents[2] / "experiments/benchmarks"
 
 def run(script, *arguments, folder):
     # The engine's loops are those of the session: to compile them anew takes half a minute.
-    kept = {"XDG_CACHE_HOME": str(folder), "NUMBA_CACHE_DIR": str(cache_folder().parent)}
-    environment = {**os.environ, "JAX_PLATFORMS": "cpu", **kept}
+    caches = {"XDG_CACHE_HOME": str(folder), "NUMBA_CACHE_DIR": str(cache_folder().parent)}
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", **caches}
     command = [sys.executable, str(BENCHMARKS / script), *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
 

@@ -31,8 +31,8 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     for _ in range(2):  # The second time from what the first has left.
         rows = compare.run("two", "scene", str(tmp_path), seeds=3)
-        found = [[row["chamfer"] for row in each] for each in rows.values()]
-        assert found == [[0.004, 0.002, 0.006], [0.006, 0.004, 0.002]] + [[1e-4]] * with_mesh
+        scores = [[row["chamfer"] for row in each] for each in rows.values()]
+        assert scores == [[0.004, 0.002, 0.006], [0.006, 0.004, 0.002]] + [[1e-4]] * with_mesh
         assert (tables.FLOOR in rows) == with_mesh
         assert json.loads((tmp_path / "study.json").read_text()) == rows
 
@@ -42,15 +42,17 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
     [(study, None) for study in STUDIES] + [("baselines", "bunny_plane")],
 )
 def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, monkeypatch, tmp_path, study, on):
-    seen = {}
-    monkeypatch.setattr(pipeline, "train", lambda _, folder, settings, **__: seen.setdefault(folder.name, settings))
+    settings_by_run = {}
+    monkeypatch.setattr(
+        pipeline, "train", lambda _, folder, settings, **__: settings_by_run.setdefault(folder.name, settings)
+    )
     monkeypatch.setattr(pipeline, "evaluate", lambda _, **__: {"psnr": 30.0})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     compare.run(study, "scene", str(tmp_path), on=on)
     variants = compare.load_study(study, on).variants
-    assert set(seen) == {f"{variant}_0" for variant in variants}
-    assert all(isinstance(settings, Settings) for settings in seen.values())
-    assert len({str(config.to_dict(settings)) for settings in seen.values()}) == len(variants)
+    assert set(settings_by_run) == {f"{variant}_0" for variant in variants}
+    assert all(isinstance(settings, Settings) for settings in settings_by_run.values())
+    assert len({str(config.to_dict(settings)) for settings in settings_by_run.values()}) == len(variants)
 
 
 @pytest.mark.parametrize(

@@ -15,13 +15,13 @@ CONFIGS = ["base", "built_in", "bunny_plane", "demo", "fox", "fox_small", "lego2
 @pytest.fixture
 def calls(monkeypatch):
     """What the pipeline, which is tested by itself, is asked for."""
-    pipeline, made = ModuleType("gsjax.pipeline"), []
-    pipeline.train = lambda scene, out, settings: made.append(("train", scene, out, settings))
-    pipeline.mesh = lambda run, out: made.append(("mesh", run, out))
+    pipeline, log = ModuleType("gsjax.pipeline"), []
+    pipeline.train = lambda scene, out, settings: log.append(("train", scene, out, settings))
+    pipeline.mesh = lambda run, out: log.append(("mesh", run, out))
     pipeline.evaluate = lambda run, mesh: {"psnr": 29.0}
     monkeypatch.setitem(sys.modules, "gsjax.pipeline", pipeline)
     monkeypatch.setattr(gsjax, "pipeline", pipeline, raising=False)
-    return made
+    return log
 
 
 @pytest.fixture

@@ -70,9 +70,9 @@ def test_scenes_are_found_in_the_root_and_in_the_archives_folders(scripts, tmp_p
     images = {"garden": "images_4", "room": "images_2"}
     laid = {name: place(tmp_path / nest, name, images.get(name, "images")) for name, nest in places.items()}
     place(tmp_path, "flowers", "images_4")  # not of the paper
-    found, faults = scripts("paper.scenes").discover(tmp_path)
-    assert found == laid and not faults
-    assert list(found) == ["room", "garden", "truck", "train", "playroom"], "the paper's order"
+    folders, faults = scripts("paper.scenes").discover(tmp_path)
+    assert folders == laid and not faults
+    assert list(folders) == ["room", "garden", "truck", "train", "playroom"], "the paper's order"
 
 
 def test_a_root_without_scenes_and_a_scene_twice_are_errors(scripts, tmp_path):
@@ -172,8 +172,8 @@ def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monke
     once = partial(paper_run.run, "room", tmp_path, tmp_path / "out", schedule="paper_6k_15k", seed=0)
     with pytest.raises(InputError, match="nothing to mesh"):
         once()
-    kept = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert kept["coarse"] == {"psnr": 30.0} and "mesh" not in kept and not paper_run.is_finished(kept)
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert result["coarse"] == {"psnr": 30.0} and "mesh" not in result and not paper_run.is_finished(result)
     broken.clear()
     some = once(only=["refine", "mesh"])
     assert done == ["train", "coarse", "mesh", "refine"] and not paper_run.is_finished(some)

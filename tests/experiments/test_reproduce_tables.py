@@ -10,7 +10,7 @@ METHOD = "gsjax paper_6k_15k, refined"
 
 
 @pytest.fixture
-def made(scripts):
+def tables(scripts):
     """Tables of hand-made scores: two seeds of truck and train, one run of kitchen, nothing of Deep Blending."""
     Measured, report = scripts("paper.measured").Measured, scripts("paper.report")
     scores = {("truck", 0): (24.0, 0.86), ("truck", 1): (25.0, 0.88), ("train", 0): (20.0, 0.74),
@@ -19,34 +19,34 @@ def made(scripts):
     return report.tables(measured, [METHOD], {"truck": "truck: limited to 5% & 3_000 Gaussians."})
 
 
-def rows_of(scripts, made):
-    text = scripts("paper.report").comma_separated(made)
+def rows_of(scripts, tables):
+    text = scripts("paper.report").comma_separated(tables)
     return {(row["over"], row["method"]): row for row in csv.DictReader(io.StringIO(text))}
 
 
-def test_averages_are_over_seeds_then_scenes_and_the_spread_over_seeds(scripts, made):
-    row = rows_of(scripts, made)["Tanks & Temples", METHOD]
+def test_averages_are_over_seeds_then_scenes_and_the_spread_over_seeds(scripts, tables):
+    row = rows_of(scripts, tables)["Tanks & Temples", METHOD]
     assert float(row["psnr"]) == pytest.approx((24.5 + 21) / 2)
     assert float(row["psnr_spread"]) == pytest.approx(1.5 / 2**0.5, abs=1e-4)  # seeds: 22.0 and 23.5
     assert (row["lpips"], row["lpips_spread"], row["scenes"], row["seeds"]) == ("-", "-", "2", "2")
 
 
-def test_fewer_scenes_than_published_are_named_and_absent_ones_are_dashes(scripts, made):
-    rows = rows_of(scripts, made)
+def test_fewer_scenes_than_published_are_named_and_absent_ones_are_dashes(scripts, tables):
+    rows = rows_of(scripts, tables)
     indoor, outdoor = rows["Mip-NeRF 360, indoor", METHOD], rows["Mip-NeRF 360, outdoor", METHOD]
     assert (indoor["scenes"], indoor["psnr_spread"], indoor["seeds"]) == ("1 of 4 (kitchen)", "-", "1")
     assert (outdoor["scenes"], outdoor["psnr"], outdoor["source"]) == ("0 of 3", "-", "-")
     assert rows["playroom", METHOD]["ssim"] == "-"
-    assert "0.000" not in scripts("paper.report").markdown(made), "never a zero where there is nothing"
+    assert "0.000" not in scripts("paper.report").markdown(tables), "never a zero where there is nothing"
 
 
-def test_published_rows_carry_source_and_doubts(scripts, made):
-    rows = rows_of(scripts, made)
+def test_published_rows_carry_source_and_doubts(scripts, tables):
+    rows = rows_of(scripts, tables)
     row = rows["Mip-NeRF 360, indoor", "The paper"]
     assert float(row["lpips"]) == 0.117 and "0.117 is doubtful" in row["notes"]
     assert rows["Deep Blending", "SuGaR"]["source"] == "tab:deepblend of the paper, which quotes SuGaR's"
     assert rows["Tanks & Temples", "SuGaR"]["notes"] == ""
-    text = scripts("paper.report").markdown(made)
+    text = scripts("paper.report").markdown(tables)
     assert "| The paper [1,2]" not in text, "notes are numbered in the order of the table"
     mark = re.search(r"\| The paper \[(\d+),(\d+)\] \| 29.87 \| 0.921 \| 0.117 \| - \| 4 \|", text)
     assert mark and f"[{mark[1]}] The LPIPS of 0.117 is doubtful" in text

@@ -9,29 +9,29 @@ import pytest
 @pytest.fixture
 def part(scripts):
     """A part of two rows, which notes what is measured."""
-    asked = []
+    names = []
 
     def measurement(name, *cells):
         def measure():
-            asked.append(name)
+            names.append(name)
             return list(cells)
 
         return measure
 
     rows = {"a": [measurement("a0", "1"), measurement("a1", "2")], "b": [measurement("b", "3", "4")]}
-    return scripts("breaking").Part("Tried", ("What", "Here", "There"), lambda folder: rows), asked
+    return scripts("breaking").Part("Tried", ("What", "Here", "There"), lambda folder: rows), names
 
 
 def test_a_part_goes_on_where_it_was_stopped(scripts, part, tmp_path):
-    robustness, (part, asked) = scripts("robustness"), part
+    robustness, (part, names) = scripts("robustness"), part
     file = tmp_path / "part.json"
-    assert robustness.measured(part, file, tmp_path, until=-inf) == {} and not asked
-    assert robustness.measured(part, file, tmp_path, until=inf, only=["nothing"]) == {} and not asked
+    assert robustness.measured(part, file, tmp_path, until=-inf) == {} and not names
+    assert robustness.measured(part, file, tmp_path, until=inf, only=["nothing"]) == {} and not names
     file.write_text('{"a": [["1"]]}')
     assert robustness.measured(part, file, tmp_path, until=-inf) == {}
     rows = robustness.measured(part, file, tmp_path, until=time.monotonic() + 60)
-    assert (rows, asked) == ({"a": ["1", "2"], "b": ["3", "4"]}, ["a1", "b"])
-    assert robustness.measured(part, file, tmp_path, until=inf) == rows and len(asked) == 2
+    assert (rows, names) == ({"a": ["1", "2"], "b": ["3", "4"]}, ["a1", "b"])
+    assert robustness.measured(part, file, tmp_path, until=inf) == rows and len(names) == 2
     assert robustness.table(part, rows) == (
         "## Tried\n\n| What | Here | There |\n| --- | --- | --- |\n| a | 1 | 2 |\n| b | 3 | 4 |\n"
     )

@@ -58,11 +58,11 @@ def script(scripts, monkeypatch, tmp_path):
         pose[:3, :3] = Rotation.random(rng=rng).as_matrix()
         pose[:3, 3] = SIZE * rng.uniform(0.3, 0.7, 3)
         poses[f"{index}.jpg"] = pose.tolist()
-        seen = pose.copy()
-        seen[:3, 3] += rng.normal(size=3) * (1.0 if index < 2 else 0.01)  # the first two are placed wrongly
+        estimate = pose.copy()
+        estimate[:3, 3] += rng.normal(size=3) * (1.0 if index < 2 else 0.01)  # the first two are placed wrongly
         viewmat = np.eye(4)
-        viewmat[:3, :3] = (TURN @ seen[:3, :3]).T
-        viewmat[:3, 3] = -viewmat[:3, :3] @ (SCALE * TURN @ seen[:3, 3] + SHIFT)
+        viewmat[:3, :3] = (TURN @ estimate[:3, :3]).T
+        viewmat[:3, 3] = -viewmat[:3, :3] @ (SCALE * TURN @ estimate[:3, 3] + SHIFT)
         K = [[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]
         record = {"name": f"{index}.jpg", "width": 640, "height": 480, "viewmat": viewmat.tolist(), "K": K}
         views.append({**record, "held_out": False})
@@ -77,9 +77,9 @@ def script(scripts, monkeypatch, tmp_path):
 def test_the_truth_itself_scores_as_its_floor_and_a_missing_wall_costs_its_share(script, tmp_path):
     save(room(), tmp_path / "run/mesh.ply")
     save(room(without=(1,)), tmp_path / "run/open.ply")
-    found = script.run([str(tmp_path / "run"), str(tmp_path / "run/open.ply")], str(tmp_path / "room"))
-    whole, opened, floor, aligned = found.values()
-    assert [*found][2:] == ["floor: drawn anew", "floor: aligned anew"]
+    scores = script.run([str(tmp_path / "run"), str(tmp_path / "run/open.ply")], str(tmp_path / "room"))
+    whole, opened, floor, aligned = scores.values()
+    assert [*scores][2:] == ["floor: drawn anew", "floor: aligned anew"]
     for name in ("accuracy_cm", "completeness_cm", "F10", "normal_error_deg"):
         assert whole[name] == pytest.approx(floor[name], rel=0.1, abs=0.2), name
         assert aligned[name] == pytest.approx(floor[name], rel=0.1, abs=0.2), name

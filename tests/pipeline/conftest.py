@@ -31,15 +31,15 @@ def scene(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def run(scene, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    told = []
+    steps = []
 
     def observe(progress):
         newest = runs.latest_checkpoint(folder)
         assert newest is None or newest[0] < progress.step, "told before the checkpoint is written"
-        told.append(progress.step)
+        steps.append(progress.step)
 
     summary = pipeline.train(scene, folder, config.parse(Settings, SETTINGS), observe=observe)
-    assert told == list(range(1, 31))
+    assert steps == list(range(1, 31))
     assert summary["steps"] == 30
     assert summary["views"] == 2
     return folder

@@ -39,7 +39,7 @@ def trained(monkeypatch, run):
 
 def test_blocks_of_one_run_merge_to_that_run(trained, run, scene, tmp_path):
     calls, out = trained[0], tmp_path / "blocks"
-    told = blocks.blocks(scene, out, WISHES, 2)
+    summary = blocks.blocks(scene, out, WISHES, 2)
     assert [name for name, *_ in calls] == ["block_1", "block_2"]
     names = {record["name"] for record in json_files.read(run / "cameras.json")}
     assert set(calls[0][1]) | set(calls[1][1]) == names
@@ -47,9 +47,9 @@ def test_blocks_of_one_run_merge_to_that_run(trained, run, scene, tmp_path):
     whole, merged = read_gaussians(run / "gaussians.ply"), read_gaussians(out / "run/gaussians.ply")
     rows = [np.asarray(each.means)[np.lexsort(np.asarray(each.means).T)] for each in (whole, merged)]
     np.testing.assert_array_equal(*rows)
-    kept, expected = json_files.read(out / "run/manifest.json"), json_files.read(run / "manifest.json")
-    assert kept["status"] == "done" and kept["psnr"] == pytest.approx(expected["psnr"], abs=1e-3)
-    assert told["psnr"] == kept["psnr"] and told["gaussians"] == expected["gaussians"]
+    manifest, expected = json_files.read(out / "run/manifest.json"), json_files.read(run / "manifest.json")
+    assert manifest["status"] == "done" and manifest["psnr"] == pytest.approx(expected["psnr"], abs=1e-3)
+    assert summary["psnr"] == manifest["psnr"] and summary["gaussians"] == expected["gaussians"]
     assert (out / "run/cameras.json").read_bytes() == (run / "cameras.json").read_bytes()
     assert len(open_result(out / "run").cameras) == len(scene_of_run(out / "run").frames) == len(names)
 

@@ -102,8 +102,8 @@ def test_eval_keeps_the_split_of_the_manifest_and_names_what_is_gone(listed, tmp
 def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp_path, capfd):
     run, place = tmp_path / "run", tmp_path / "elsewhere/set"
     (listed / "mine.txt").write_text(f"{NAMES[2]}\n")
-    asked = config.merge(ASKED, {"photos": {"hold_out": str(listed / "mine.txt"), "images": str(listed / "images")}})
-    train_until_killed(4, listed, run, config.parse(Settings, asked))
+    settings = config.merge(ASKED, {"photos": {"hold_out": str(listed / "mine.txt"), "images": str(listed / "images")}})
+    train_until_killed(4, listed, run, config.parse(Settings, settings))
     place.parent.mkdir()
     shutil.move(listed, place)
     assert cli.main(["train", str(place), "--out", str(run), "--resume"]) == 2
@@ -117,8 +117,10 @@ def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp
     shutil.move(place, again)
     capfd.readouterr()
     assert cli.main(["eval", str(run)]) == 2
-    told = f"{run}: its data set is no longer in {place}; `gsjax train --out {run} --resume --scene FOLDER` tells where"
-    assert told in capfd.readouterr().err
+    message = (
+        f"{run}: its data set is no longer in {place}; `gsjax train --out {run} --resume --scene FOLDER` tells where"
+    )
+    assert message in capfd.readouterr().err
     assert cli.main(["eval", str(run), "--scene", str(again), "--json", str(tmp_path / "scores.json")]) == 0
     assert json_files.read(tmp_path / "scores.json")["views"] == 1
     assert cli.main(["train", "--out", str(run), "--resume", "--scene", str(again)]) == 0

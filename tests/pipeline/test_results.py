@@ -47,8 +47,8 @@ def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp
     )
     report = pipeline.mesh(moved, tmp_path / "mesh.ply", **FEW_POINTS)
     assert report["photo_refine"] is None
-    told = f"mesh: goes on without its photos: {moved}: its data set is no longer in {tmp_path / 'gone'}; "
-    assert told in capsys.readouterr().err
+    message = f"mesh: goes on without its photos: {moved}: its data set is no longer in {tmp_path / 'gone'}; "
+    assert message in capsys.readouterr().err
     assert pipeline.mesh(run, tmp_path / "asked.ply", photo_refine=False, **FEW_POINTS) == report
     assert (tmp_path / "asked.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
 
@@ -75,11 +75,11 @@ def test_a_mesh_away_from_the_truth_loses_no_other_figure(run, scene, scores_of_
     write_mesh(tmp_path / "far.ply", replace(true, vertices=true.vertices + np.float32([100, 0, 0])))
     json_files.write(tmp_path / "before.json", expected := scores_of_truth)
     assert cli.main(["eval", str(run), "--mesh", str(tmp_path / "far.ply"), "--json", str(tmp_path / "e.json")]) == 0
-    found, printed = json_files.read(tmp_path / "e.json"), capsys.readouterr()
+    scores, printed = json_files.read(tmp_path / "e.json"), capsys.readouterr()
     lost = {*geometry.SCORES, "mesh_normal_error_deg", "mesh_normal_error_median_deg", "mesh_normal_error_all_deg",
             "mesh_depth_error", "mesh_psnr", "mesh_ssim", "covered_psnr", "covered_ssim"}  # fmt: skip
     others = {**json_files.read(tmp_path / "before.json"), "mesh_covers": 0.0}
-    assert found == {**others, **dict.fromkeys(lost)} and lost < set(expected)
+    assert scores == {**others, **dict.fromkeys(lost)} and lost < set(expected)
     lines = [line for line in printed.err.splitlines() if "is not scored: no surface of the mesh" in line]
     assert len(lines) == 1 and lines[0].startswith(f"{run}: its mesh ")
     assert ["chamfer", "-"] in [line.split() for line in printed.out.splitlines()]
@@ -107,10 +107,10 @@ def test_photos_that_were_damaged_since_are_left_out_of_the_scores_and_named(run
     file = tmp_path / "scene/images/008.png"
     file.write_bytes(file.read_bytes()[:-40])
     alone = evaluate_views(run, ["000.png"])
-    found = pipeline.evaluate(tmp_path / "run")
-    assert found["views"] == 1 and found["psnr"] == pytest.approx(alone, abs=1e-4)
-    told = capsys.readouterr().err
-    assert "scene/images/004.png: no such image; 2 of 9 photos are left out: 004.png, 008.png\n" in told
+    scores = pipeline.evaluate(tmp_path / "run")
+    assert scores["views"] == 1 and scores["psnr"] == pytest.approx(alone, abs=1e-4)
+    stderr = capsys.readouterr().err
+    assert "scene/images/004.png: no such image; 2 of 9 photos are left out: 004.png, 008.png\n" in stderr
 
 
 def evaluate_views(run, names):
@@ -145,11 +145,11 @@ def test_pictures_have_the_size_of_their_views(run, tmp_path):
 
 
 def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_scores, scene, tmp_path, monkeypatch):
-    asked = {}
+    settings_by_run = {}
 
-    def train(given, folder, settings, warm_start):
-        asked[folder.name] = settings
-        assert given == scene
+    def train(data_set, folder, settings, warm_start):
+        settings_by_run[folder.name] = settings
+        assert data_set == scene
         assert warm_start == (None if settings.schedule.vanilla else tmp_path / "demo/vanilla")
         shutil.copytree(run, folder)
 
@@ -161,7 +161,7 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_
     monkeypatch.setattr(demo, "pipeline", small)
     monkeypatch.setattr(demo.analytic_scene, "write", lambda folder, **_: scene)
     report = demo.run(tmp_path / "demo")
-    assert [(settings.schedule.vanilla, settings.supervision.normals) for settings in asked.values()] == [
+    assert [(settings.schedule.vanilla, settings.supervision.normals) for settings in settings_by_run.values()] == [
         (True, str(scene / "normals")),
         (False, str(scene / "normals")),
     ]

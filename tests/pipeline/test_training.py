@@ -44,28 +44,28 @@ def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
 
 
 def test_a_report_is_left_and_a_run_that_kept_no_pictures_is_rendered_for_it(run, scene, tmp_path):
-    kept = {file.name: read_image(file)[0].astype(float) for file in (run / "pictures").iterdir()}
-    assert sorted(kept) == [
+    pictures = {file.name: read_image(file)[0].astype(float) for file in (run / "pictures").iterdir()}
+    assert sorted(pictures) == [
         f"{view}_{kind}.jpg" for view in ("0000", "0008") for kind in ("normals", "photo", "render")
     ]
     photo, other = (read_image(scene / "images" / name)[0] for name in ("000.png", "008.png"))
     # JPEG leaves 5 of 255 in a picture of 48 pixels; the other view is far from that.
-    assert np.abs(kept["0000_photo.jpg"] - photo).mean() < 8 < np.abs(kept["0000_photo.jpg"] - other).mean() / 3
+    assert np.abs(pictures["0000_photo.jpg"] - photo).mean() < 8 < np.abs(pictures["0000_photo.jpg"] - other).mean() / 3
     assert (run / "report.html").read_text().count("data:image/jpeg") == 6
 
     shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("pictures"))
     pipeline.report(tmp_path / "run")
-    for name, image in kept.items():
+    for name, image in pictures.items():
         assert np.abs(read_image(tmp_path / "run/pictures" / name)[0] - image).mean() < 1, name
 
 
-@pytest.mark.parametrize(("stopped_at", "kept"), [(13, [7, 12]), (23, [20, 21])])
-def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, stopped_at, kept):
+@pytest.mark.parametrize(("stopped_at", "steps"), [(13, [7, 12]), (23, [20, 21])])
+def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, stopped_at, steps):
     """From checkpoints of every seventh step and of each phase's end, of which two are kept."""
     settings = config.parse(Settings, SETTINGS)
     folder = tmp_path / "run"
     train_until_killed(stopped_at, scene, folder, settings)
-    assert sorted(file.name for file in (folder / "checkpoints").iterdir()) == [f"step_{n:07d}.npz" for n in kept]
+    assert sorted(file.name for file in (folder / "checkpoints").iterdir()) == [f"step_{n:07d}.npz" for n in steps]
     pipeline.train(scene, folder, settings, resume=True)
 
     assert (folder / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
@@ -100,27 +100,27 @@ def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run
 
 
 def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene, tmp_path, monkeypatch, capsys):
-    asked = []
+    capacities = []
 
     def reversed_order(scene, planned, swept):
-        asked.append(planned.max_gaussians)
+        capacities.append(planned.max_gaussians)
         return replace(scene, points=scene.points[::-1], point_colors=scene.point_colors[::-1]), ("found some",)
 
     monkeypatch.setattr(preparation, "with_stereo_points", reversed_order)
     settings = config.parse(Settings, SETTINGS)
     train_until_killed(8, scene, tmp_path / "run", settings)
-    assert asked == [900] and "train: found some\n" in capsys.readouterr().err
+    assert capacities == [900] and "train: found some\n" in capsys.readouterr().err
     pipeline.train(scene, tmp_path / "run", settings, resume=True)
     pipeline.train(scene, tmp_path / "other", settings, warm_start=tmp_path / "run")
-    assert asked == [900] and "found some" not in capsys.readouterr().err
+    assert capacities == [900] and "found some" not in capsys.readouterr().err
     assert (tmp_path / "run/gaussians.ply").read_bytes() != (run / "gaussians.ply").read_bytes()
 
 
 def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, tmp_path, monkeypatch, capsys):
-    asked = []
+    trials = []
 
     def helps(scene, settings, held_back):
-        asked.append([frame.name for frame in scene.train_frames])
+        trials.append([frame.name for frame in scene.train_frames])
         return Gain(0.5, 0.1)
 
     monkeypatch.setattr(sparse_view_trial, "gain", helps)
@@ -136,7 +136,7 @@ def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, 
         plan = json_files.read(tmp_path / name / "plan.json")
         assert plan["max_gaussians"] == 450
         assert [phase["dropout"] for phase in plan["phases"]] == [0.2]
-    assert len(asked) == 1
+    assert len(trials) == 1
     (tmp_path / "run/manifest.json").write_text(
         (tmp_path / "run/manifest.json").read_text().replace('"held_back": true', '"held_back": 7')
     )
@@ -164,31 +164,31 @@ def test_the_loop_compares_photos_as_often_as_they_are_consistent(scene, tmp_pat
 
 
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):
-    begun, whole = tmp_path / "begun", tmp_path / "whole"
+    first_run, whole = tmp_path / "begun", tmp_path / "whole"
     first = config.merge(
         SETTINGS, {"schedule": {"phases": SETTINGS["schedule"]["phases"][:1]}, "rates": {"decay_steps": 30}}
     )
-    pipeline.train(scene, begun, config.parse(Settings, first))
-    pipeline.train(scene, whole, config.parse(Settings, SETTINGS), warm_start=begun)
+    pipeline.train(scene, first_run, config.parse(Settings, first))
+    pipeline.train(scene, whole, config.parse(Settings, SETTINGS), warm_start=first_run)
     assert (whole / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert [record["step"] for record in runs.read_metrics(whole)] == [5, 10, 12, 15, 20, 25, 30]
 
     plan = json_files.read(run / "plan.json")
     plan["phases"][1]["terms"]["entropy"] = 0.2  # So they part after 12 steps, and later checkpoints will not do.
-    json_files.write(begun / "plan.json", plan)
-    early = list((begun / "checkpoints").iterdir())
+    json_files.write(first_run / "plan.json", plan)
+    early = list((first_run / "checkpoints").iterdir())
     for later in (run / "checkpoints").iterdir():
-        shutil.copy(later, begun / "checkpoints")
-    pipeline.train(scene, tmp_path / "parted", config.parse(Settings, SETTINGS), warm_start=begun)
+        shutil.copy(later, first_run / "checkpoints")
+    pipeline.train(scene, tmp_path / "parted", config.parse(Settings, SETTINGS), warm_start=first_run)
     assert (tmp_path / "parted/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     for file in early:
         file.unlink()
     with pytest.raises(InputError, match="begun: has no checkpoint of the 12 steps that this run has in common"):
-        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), warm_start=begun)
+        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), warm_start=first_run)
 
-    shutil.rmtree(begun / "checkpoints")
+    shutil.rmtree(first_run / "checkpoints")
     with pytest.raises(InputError, match="begun: has no checkpoint to begin from"):
-        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), warm_start=begun)
+        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), warm_start=first_run)
     assert not (tmp_path / "none").exists()
 
 
@@ -256,14 +256,14 @@ def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, cap
     (tmp_path / "list.txt").write_text("004.jpg")
     for index in range(9):
         write_image(tmp_path / f"maps/{index:03d}.png", np.full((40, 40, 3), 9, np.uint8))
-    told = {
+    messages = {
         "hold-out": "list.txt, line 1: there is no photo 004.jpg; the nearest name is 004.png",
         "normals": "maps/001.png: normal map is 40x40, its frame 48x40",
     }
     plain = ["--set", "schedule.sparse_views=false"]  # No trial comes first.
     assert cli.main(["train", str(scene), "--out", str(tmp_path / "run"), *options[fault], *plain]) == 2
     *progress, error = capsys.readouterr().err.splitlines()
-    assert error.startswith("gsjax: error: ") and told[fault] in error
+    assert error.startswith("gsjax: error: ") and messages[fault] in error
     assert not any("Error" in line for line in progress)
     assert not (tmp_path / "run").exists()
 

@@ -48,11 +48,13 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         {name: summary[name] for name in scores}, abs=1e-3
     )
     # With the looks of its own tracks in place of its neighbours', a photo has the score of those.
-    found, frames = read_photo_effects(whole), scene_of_run(whole).held_out_frames
+    photo_effects, frames = read_photo_effects(whole), scene_of_run(whole).held_out_frames
     gaussians = open_result(whole).gaussians
-    same = score_images(gaussians, frames, "white", found=found._replace(near_appearances=found.appearances))
+    same = score_images(
+        gaussians, frames, "white", found=photo_effects._replace(near_appearances=photo_effects.appearances)
+    )
     assert same["psnr_near_gains"] == same["psnr_track_gains"] == pytest.approx(summary["psnr_track_gains"], abs=1e-3)
-    near = found.with_near_appearances(scene_of_run(whole).frames)
+    near = photo_effects.with_near_appearances(scene_of_run(whole).frames)
     assert score_images(gaussians, frames, "white", found=near)["psnr_near_gains"] == pytest.approx(
         summary["psnr_near_gains"], abs=1e-3
     )
@@ -65,11 +67,11 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     np.testing.assert_allclose(gains.mean(0), 0, atol=1e-6)
 
     # Later stages see the cameras that training moved; those that are held out are where they were.
-    given = {record["name"]: np.array(record["viewmat"]) for record in json_files.read(run / "cameras.json")}
+    viewmats = {record["name"]: np.array(record["viewmat"]) for record in json_files.read(run / "cameras.json")}
     for frame, record in zip(scene_of_run(whole).frames, records, strict=True):
         np.testing.assert_array_equal(frame.viewmat, np.float32(record["viewmat"]))
         np.testing.assert_array_equal(frame.K, np.float32(record["K"]))
-        off = np.abs(given[frame.name] - record["viewmat"]).max()
+        off = np.abs(viewmats[frame.name] - record["viewmat"]).max()
         assert off == 0 if frame.held_out else 1e-6 < off < 0.05, frame.name
 
     assert open_result(whole).background.shape == (1, 3), "the built-in scene stands before one white"

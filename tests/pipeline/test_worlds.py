@@ -52,11 +52,11 @@ def test_a_run_is_the_same_in_another_world_and_lies_at_its_photos(world, run, r
     assert [r["loss"] for r in ours] == pytest.approx([r["loss"] for r in theirs], rel=0.02)
 
     expected = scale * read_gaussians(run / "gaussians.ply").means + shift
-    found = read_gaussians(folder / "gaussians.ply").means
-    assert len(found) == pytest.approx(len(expected), rel=0.02)
-    np.testing.assert_allclose(np.median(found, axis=0), np.median(expected, axis=0), atol=0.02 * scale)
-    for record, given in zip(*(json_files.read(each / "cameras.json") for each in (folder, run)), strict=True):
-        place, other = (-np.array(r["viewmat"])[:3, :3].T @ np.array(r["viewmat"])[:3, 3] for r in (record, given))
+    means = read_gaussians(folder / "gaussians.ply").means
+    assert len(means) == pytest.approx(len(expected), rel=0.02)
+    np.testing.assert_allclose(np.median(means, axis=0), np.median(expected, axis=0), atol=0.02 * scale)
+    for record, original in zip(*(json_files.read(each / "cameras.json") for each in (folder, run)), strict=True):
+        place, other = (-np.array(r["viewmat"])[:3, :3].T @ np.array(r["viewmat"])[:3, 3] for r in (record, original))
         np.testing.assert_allclose(place, scale * other + shift, atol=1e-5 * scale)
 
     files = tmp_path / "mesh.ply", run_mesh[0]

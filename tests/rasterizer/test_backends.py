@@ -54,10 +54,10 @@ def test_depth_modes_are_the_depths_as_a_colour():
     assert_close(render(without_background, render_mode="D", capacity=2048)[0], expected)
     # Divided by alpha, and 0 where nothing shows.
     normalised = render(without_background, render_mode="ED", capacity=2048)[0]
-    shown = np.asarray(alphas) > 0
-    assert_close(normalised, np.where(shown, expected / np.where(shown, alphas, 1), 0))
-    assert np.any(~shown)
-    assert np.asarray(info["depths"])[0].min() <= normalised[shown].min()
+    is_covered = np.asarray(alphas) > 0
+    assert_close(normalised, np.where(is_covered, expected / np.where(is_covered, alphas, 1), 0))
+    assert np.any(~is_covered)
+    assert np.asarray(info["depths"])[0].min() <= normalised[is_covered].min()
 
 
 @pytest.mark.parametrize("backend", [OWN, pytest.param("xla", marks=pytest.mark.long)])
@@ -96,8 +96,8 @@ def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
     else:
         image, *_ = blend(projection, scene.opacities, each, pairs, grid, backend=backend, front=front)
     levels = np.maximum(0.4 ** np.arange(5), stop_after)
-    wanted = np.broadcast_to(levels[:-1] - levels[1:], image.shape)
-    assert_close(image, wanted, rtol=0, atol=1e-5, why="wide splats fall off a little")
+    expected = np.broadcast_to(levels[:-1] - levels[1:], image.shape)
+    assert_close(image, expected, rtol=0, atol=1e-5, why="wide splats fall off a little")
 
 
 MOST = 900

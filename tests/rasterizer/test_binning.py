@@ -142,9 +142,9 @@ def test_a_session_of_float64_lists_the_same(lists):
         finer = lists(jax.tree.map(in_float64, projection), in_float64(scene.opacities))
     total = int(expected.offsets[-1])  # What lies in the slots after them is anybody's.
     for name in TilePairs._fields:
-        for found in (again, finer):
+        for actual in (again, finer):
             ours, theirs = (
-                getattr(x, name)[:total] if name == "splats" else getattr(x, name) for x in (found, expected)
+                getattr(x, name)[:total] if name == "splats" else getattr(x, name) for x in (actual, expected)
             )
             assert ours.dtype == theirs.dtype
             np.testing.assert_array_equal(ours, theirs)

@@ -48,15 +48,15 @@ def _here(point, radial):
     identity = [[jnp.asarray(float(i == j), point.dtype) for j in range(3)] for i in range(3)]
     rows = [parts(row) for row in jnp.asarray(K, point.dtype)]
     ideal, lens = Lens(rows), Lens(rows, [k[None] for k in radial])
-    seen = {}
+    images = {}
     for name in MODELS:
         model = CAMERA_MODELS["fisheye" if name == "lens" else name]
         mean2d, *steps = model.image_point(parts(point), identity, lens if name == "lens" else ideal, SIZE)
-        seen[name] = (
+        images[name] = (
             jnp.stack([jnp.ravel(m)[0] for m in mean2d]),
             jnp.stack([jnp.stack([jnp.ravel(s)[0] for s in row]) for row in steps]),
         )
-    return seen
+    return images
 
 
 def here(point, dtype=np.float64, radial=RADIAL):
@@ -99,9 +99,9 @@ def test_in_float32_nothing_is_lost_near_the_axis_or_far_away():
         point = np.array([offset, -0.7 * offset, 1.0], np.float32)
         with jax.enable_x64(True):
             expected = here(point.astype(np.float64))
-        for name, seen in here(point, np.float32).items():
-            for actual, wanted in zip(seen, expected[name], strict=True):
-                assert np.abs(actual - wanted).max() < 4e-7 * np.abs(wanted).max(), (offset, name)
+        for name, image in here(point, np.float32).items():
+            for actual, reference in zip(image, expected[name], strict=True):
+                assert np.abs(actual - reference).max() < 4e-7 * np.abs(reference).max(), (offset, name)
     # Its square overflows; its image is 90 degrees off.
     mean2d, jacobian = here((2e30, 0.0, 1.0), np.float32)["fisheye"]
     assert_close(mean2d, np.array([K[0, 2] + K[0, 0] * np.pi / 2, K[1, 2]], np.float32))
@@ -111,14 +111,14 @@ def test_in_float32_nothing_is_lost_near_the_axis_or_far_away():
 def test_past_its_fold_a_lens_has_no_image():
     # theta - theta^3 / 3 grows up to one radian.
     folding = (-1 / 3, 0.0, 0.0, 0.0)
-    seen = [
+    is_finite = [
         np.isfinite(here((np.tan(a), 0.0, 1.0), np.float32, folding)["lens"][0]).all() for a in (0.9, 0.99, 1.01, 1.5)
     ]
-    assert seen == [True, True, False, False]
+    assert is_finite == [True, True, False, False]
     # Nor past a fold after which it would grow again.
     again = (-1.2, 0.5, 0.0, 0.0)  # grows again past 1.03
-    seen = [np.isfinite(here((np.tan(a), 0.0, 1.0), np.float32, again)["lens"][0]).all() for a in (0.5, 0.8, 1.5)]
-    assert seen == [True, False, False]
+    is_finite = [np.isfinite(here((np.tan(a), 0.0, 1.0), np.float32, again)["lens"][0]).all() for a in (0.5, 0.8, 1.5)]
+    assert is_finite == [True, False, False]
 
 
 PLACES = [(0.0, 0.0, 2.0), (1e-9, 0.0, 1.5), (0.3, -0.2, 1.4), (0.14, 0.02, 1.0), (-0.5, 0.4, 0.3)]
@@ -137,9 +137,9 @@ def test_gradients_of_points_and_jacobians_are_finite_differences(x64):
     def total(model, points, viewmat, K, radial):
         lens = Lens([parts(row) for row in K], None if model == "ortho" else [k[None] for k in radial])
         viewmat = [parts(row) for row in viewmat]
-        seen = CAMERA_MODELS[model].image_point([points[:, i] for i in range(3)], viewmat, lens, SIZE)
+        image = CAMERA_MODELS[model].image_point([points[:, i] for i in range(3)], viewmat, lens, SIZE)
         return sum(
-            jnp.sum(w[:, i] * part) for w, each in zip(weights, seen, strict=True) for i, part in enumerate(each)
+            jnp.sum(w[:, i] * part) for w, each in zip(weights, image, strict=True) for i, part in enumerate(each)
         )
 
     value_and_grad = jax.jit(

@@ -55,8 +55,8 @@ def test_a_gpu_beside_the_default_device_is_not_asked(monkeypatch):
     cpu = jax.devices("cpu")[0]
     monkeypatch.setattr(jax, "local_devices", lambda backend=None: [H100 if backend is None else cpu])
     assert devices.default_device() is H100 and engines.resolve("auto") == "pallas"
-    for chosen in (cpu, "cpu"):
-        with jax.default_device(chosen):
+    for default in (cpu, "cpu"):
+        with jax.default_device(default):
             assert devices.default_device() is cpu and engines.resolve("auto") == "native"
 
 
@@ -78,8 +78,8 @@ def test_a_jax_without_triton_imports_and_takes_mosaic_or_jnp(missing):
     """The backend is deprecated since jax 0.11: the day it is gone, nothing but the kernels may go with it."""
     done = subprocess.run([sys.executable, "-c", PROGRAM, *missing], capture_output=True, text=True)
     by_mosaic = missing == ["triton"] and jax.__version_info__ >= devices.LEAST_JAX_OF_MOSAIC
-    chosen = "pallas" if by_mosaic else "xla"
-    assert done.stdout.split() == [chosen, chosen, "True", str(by_mosaic)], done.stderr
+    backend = "pallas" if by_mosaic else "xla"
+    assert done.stdout.split() == [backend, backend, "True", str(by_mosaic)], done.stderr
     reason = "the rasterizer runs in jnp: its kernels need Pallas' Triton or Mosaic backend, and jax "
     assert [line.startswith(reason) for line in done.stderr.splitlines()] == [] if by_mosaic else [True]
 

@@ -178,8 +178,8 @@ def agree_with_float64(hard_cases):
         with jax.enable_x64(True):
             expected_image, expected_alphas, _, expected = evaluate(in_float64(scene), "reference", **options)
         assert all_finite(expected_image, expected)
-        shown = scene.colors if scene.backgrounds.shape[1] > 1 else expected_image  # depths have no colour
-        largest = max(1, np.abs(shown).max())
+        colors = scene.colors if scene.backgrounds.shape[1] > 1 else expected_image  # depths have no colour
+        largest = max(1, np.abs(colors).max())
         for backend in backends:
             image, alphas, info, gradient = evaluate(scene, backend, **options)
             assert all_finite(image, alphas, gradient)

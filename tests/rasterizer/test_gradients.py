@@ -136,8 +136,8 @@ def functional(scene, **options):
 
     def value(arrays):
         image, alphas, _ = render(replace(scene, **arrays), rules=rasterizer.SMOOTH, **options)
-        seen = jnp.concatenate([image, alphas], -1)
-        return jnp.sum(jnp.asarray(weights, seen.dtype) * seen**2)
+        outputs = jnp.concatenate([image, alphas], -1)
+        return jnp.sum(jnp.asarray(weights, outputs.dtype) * outputs**2)
 
     return jax.jit(value)
 

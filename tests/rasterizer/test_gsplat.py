@@ -51,9 +51,9 @@ def weighted(image, alphas):
 
 
 def test_the_stages_composed_are_the_front_door_in_value_and_gradient():
-    *seen, _, expected = evaluate(SCENE, "native")
-    gradient, shown = through_the_stages(SCENE, UNMASKED)
-    assert_close(list(shown), seen)
+    *images, _, expected = evaluate(SCENE, "native")
+    gradient, outputs = through_the_stages(SCENE, UNMASKED)
+    assert_close(list(outputs), images)
     for field, error in relative_errors(gradient, expected).items():
         assert error < 1e-4, (field, error)
 
@@ -62,11 +62,11 @@ def test_masked_tiles_show_the_background_and_the_rest_is_unchanged():
     masks = np.random.default_rng(0).uniform(size=(2, TILES[1], TILES[0])) < 0.5
     _, (image, alphas) = through_the_stages(SCENE, UNMASKED)
     _, (masked_image, masked_alphas) = through_the_stages(SCENE, jnp.asarray(masks))
-    drawn = masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SIZE[1], : SIZE[0], None]
-    assert 0 < drawn.mean() < 1
+    is_drawn = masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SIZE[1], : SIZE[0], None]
+    assert 0 < is_drawn.mean() < 1
     background = np.asarray(SCENE.backgrounds)[:, None, None]
-    np.testing.assert_array_equal(masked_image, np.where(drawn, image, np.broadcast_to(background, image.shape)))
-    np.testing.assert_array_equal(masked_alphas, np.where(drawn, alphas, 0))
+    np.testing.assert_array_equal(masked_image, np.where(is_drawn, image, np.broadcast_to(background, image.shape)))
+    np.testing.assert_array_equal(masked_alphas, np.where(is_drawn, alphas, 0))
 
 
 def test_intersections_are_those_of_a_loop():
@@ -120,18 +120,20 @@ def projected(scene):
 def test_fused_and_staged_projection_agree_and_batches_are_their_members():
     covars, precis, (z, means2d, covars2d), of_axes, of_triangles = projected(SCENE)
     radii, fused_means2d, depths, conics, compensations = of_axes
-    seen = np.asarray(radii > 0).all(-1)
-    assert seen.any() and not seen.all() and compensations is None
+    visible = np.asarray(radii > 0).all(-1)
+    assert visible.any() and not visible.all() and compensations is None
     assert_close(of_triangles[3], conics, rtol=1e-4, atol=1e-5, why="a determinant from products of covariances")
     np.testing.assert_array_equal(of_triangles[0], radii)
     assert_close(fused_means2d, means2d, rtol=1e-5, atol=1e-4, why="pixels")
     assert_close(depths, z)
     blurred = np.asarray(covars2d, np.float64) + 0.3 * np.eye(2)
     inverse = np.linalg.inv(blurred)[..., [0, 0, 1], [0, 1, 1]]
-    assert_close(np.asarray(conics)[seen], inverse[seen], rtol=1e-3, atol=1e-5, why="the oracle inverts in float32")
+    assert_close(
+        np.asarray(conics)[visible], inverse[visible], rtol=1e-3, atol=1e-5, why="the oracle inverts in float32"
+    )
     # Radii: 3.33 standard deviations, rounded up.
     expected = np.ceil(3.33 * np.sqrt(np.diagonal(blurred, axis1=-2, axis2=-1)))
-    assert np.abs(np.asarray(radii)[seen] - expected[seen]).max() <= 1
+    assert np.abs(np.asarray(radii)[visible] - expected[visible]).max() <= 1
     np.testing.assert_allclose(precis, np.linalg.inv(np.asarray(covars, np.float64)), rtol=2e-3)
 
     cameras = SCENE.viewmats, SCENE.Ks

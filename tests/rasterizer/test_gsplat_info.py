@@ -41,10 +41,10 @@ def test_the_lists_draw_the_same_image_through_the_stage_of_gsplat():
     image, alphas, info = render(PAIR, **OPTIONS, rasterize_mode="antialiased")
     colors = jnp.broadcast_to(PAIR.colors[None], (2, *PAIR.colors.shape))
     lists = info["isect_offsets"], info["flatten_ids"], PAIR.backgrounds
-    drawn = rasterizer.rasterize_to_pixels(
+    outputs = rasterizer.rasterize_to_pixels(
         info["means2d"], info["conics"], colors, info["opacities"], 37, 29, 8, *lists, backend="native"
     )
-    assert_close(drawn, (image, alphas))
+    assert_close(outputs, (image, alphas))
 
 
 def test_tiles_of_a_splat_are_those_that_list_it_and_of_its_box():
@@ -92,11 +92,11 @@ def test_the_probe_takes_the_gradient_of_the_means(backend):
 
 def test_what_is_not_read_is_not_in_the_program():
     def program(read):
-        def drawn(scene):
+        def image_and_info(scene):
             image, _, info = render(scene, **OPTIONS)
             return image, *(info[name] for name in read)
 
-        return sum(1 for _ in equations(jax.make_jaxpr(drawn)(PAIR).jaxpr))
+        return sum(1 for _ in equations(jax.make_jaxpr(image_and_info)(PAIR).jaxpr))
 
     assert program(KEYS | SIZES.keys()) == program(())
     assert all(program((name,)) > program(()) for name in KEYS_OF_LISTS)
@@ -119,8 +119,8 @@ def test_depth_needs_no_colours(render_mode):
         render(replace(ONE, colors=colors), capacity=2048, render_mode=render_mode, backgrounds=None)[:2]
         for colors in (ONE.colors, None, jnp.zeros((40, 5)))
     )
-    for found in others:
-        jax.tree.map(np.testing.assert_array_equal, found, expected)
+    for actual in others:
+        jax.tree.map(np.testing.assert_array_equal, actual, expected)
 
 
 @pytest.mark.parametrize("render_mode", ["D", "RGB+D", "RGB+ED"])

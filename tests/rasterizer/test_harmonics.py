@@ -40,22 +40,22 @@ def test_every_basis_function_against_scipy(degree, x64):
     assert_close(basis, np.stack(expected, -1), rtol=0, atol=1e-12, why="zeros are compared; constants have 16 digits")
 
 
-@pytest.mark.parametrize("shown", [0, 2])
-def test_weights_leave_out_upper_bands_and_their_gradients(shown):
+@pytest.mark.parametrize("degree", [0, 2])
+def test_weights_leave_out_upper_bands_and_their_gradients(degree):
     rng = np.random.default_rng(4)
     directions, coeffs = rng.normal(size=(8, 3)), rng.normal(size=(8, 15, 3))
     directions, coeffs = jnp.asarray(directions, jnp.float32), jnp.asarray(coeffs, jnp.float32)
-    weights = jnp.asarray(np.arange(1, 16) < (shown + 1) ** 2, jnp.float32)
+    weights = jnp.asarray(np.arange(1, 16) < (degree + 1) ** 2, jnp.float32)
 
     def cut(directions, coeffs):
-        return upper_bands(directions, coeffs[:, : (shown + 1) ** 2 - 1])
+        return upper_bands(directions, coeffs[:, : (degree + 1) ** 2 - 1])
 
     assert_close(upper_bands(directions, coeffs, weights), cut(directions, coeffs))
     whole = jax.jit(jax.grad(lambda *x: jnp.sum(jnp.sin(upper_bands(*x))), (0, 1)))
-    seen = whole(directions, coeffs, weights)
+    gradients = whole(directions, coeffs, weights)
     expected = jax.jit(jax.grad(lambda *x: jnp.sum(jnp.sin(cut(*x))), (0, 1)))(directions, coeffs)
-    for got, wanted in zip(seen, expected, strict=True):
-        assert_close(got, wanted)
+    for got, reference in zip(gradients, expected, strict=True):
+        assert_close(got, reference)
 
 
 def test_only_a_cpu_sums_bands_by_a_product_of_matrices(monkeypatch):

@@ -79,8 +79,8 @@ def test_sigma_is_the_first_texts(seed):
     expected = np.asarray(blending.splat_sigma(*map(jnp.asarray, (dx, dy, xx, xy, yy))))
     # Contracted or not, a sum of three products is within a few roundings of the largest of them.
     largest = np.abs(xx * dx * dx) + np.abs(xy * dx * dy) + np.abs(yy * dy * dy)
-    found = over_arrays(native.splat_sigma)(dx, dy, xx, xy, yy)
-    assert (np.abs(found - expected) <= 4e-7 * largest).all()
+    sigma = over_arrays(native.splat_sigma)(dx, dy, xx, xy, yy)
+    assert (np.abs(sigma - expected) <= 4e-7 * largest).all()
 
 
 @pytest.mark.parametrize("rules", [GSPLAT, INRIA], ids=["gsplat", "inria"])
@@ -95,23 +95,23 @@ def test_blend_and_unblend_are_the_first_texts(rules, seed):
     alpha = np.asarray(blending.cut_alpha(jnp.asarray(unclamped), jnp.asarray(sigma), rules))
     weight, left = blending.blend_splat(jnp.asarray(signed_t), jnp.asarray(alpha), rules)
     np.testing.assert_array_equal(over_arrays(native.cut_alpha, fixed=[fixed])(unclamped), alpha)
-    found = over_arrays(native.blend_splat, fixed=[fixed])(signed_t, alpha)
+    actual = over_arrays(native.blend_splat, fixed=[fixed])(signed_t, alpha)
     near = np.abs(t * (1 - alpha) - rules.transmittance_min) < 1e-9  # stops in one text, goes on in the other
-    assert_close(found[:, ~near], np.stack([weight, left])[:, ~near], why="contracted products", rtol=1e-6, atol=1e-7)
+    assert_close(actual[:, ~near], np.stack([weight, left])[:, ~near], why="contracted products", rtol=1e-6, atol=1e-7)
 
     expected = blending.front_weight(jnp.asarray(t), jnp.asarray(t * alpha), 0.2)
     assert_close(over_arrays(native.front_weight, fixed=[level])(t, t * alpha), np.asarray(expected))
 
     state = [t, behind, lit, alpha, unclamped]
     expected = np.stack(blending.unblend_splat(*map(jnp.asarray, state), rules))
-    found = over_arrays(native.unblend_splat, fixed=[fixed])(*state)
-    assert_close(found, expected, why="t is divided by up to 0.01", rtol=1e-5, atol=1e-5)
+    actual = over_arrays(native.unblend_splat, fixed=[fixed])(*state)
+    assert_close(actual, expected, why="t is divided by up to 0.01", rtol=1e-5, atol=1e-5)
     expected = np.stack(blending.unblend_splat(*map(jnp.asarray, state), rules, (jnp.asarray(in_front), 0.2)))
     # What counts in front jumps where a weight meets the light above the level: there either side is right.
     before = t / (1 - alpha)
     clear = np.abs(before * alpha - np.maximum(before - level, 0)) > 1e-5 * before
-    found = over_arrays(unblend_in_front, fixed=[fixed])(*state, in_front)
-    assert_close(found[:, clear], expected[:, clear], why="t is divided by up to 0.01", rtol=1e-5, atol=1e-4)
+    actual = over_arrays(unblend_in_front, fixed=[fixed])(*state, in_front)
+    assert_close(actual[:, clear], expected[:, clear], why="t is divided by up to 0.01", rtol=1e-5, atol=1e-4)
 
 
 @settings(max_examples=4, deadline=None)
@@ -151,10 +151,10 @@ def test_whole_tiles_equal_the_other_engines(make_scene, side, channels, ending,
 
     numbers = projection.means2d, projection.conics, scene.opacities, features
     run = jax.jit(jax.value_and_grad(weighed, has_aux=True), static_argnums=1)
-    (_, found), slopes = run(numbers, "native")
+    (_, outputs), slopes = run(numbers, "native")
     (_, expected), right = run(numbers, "xla")
-    assert_close(found[:2], expected[:2], rtol=1e-5, atol=2e-5, why="sums of up to 40 roundings, in another order")
-    np.testing.assert_array_equal(found[2], expected[2])
+    assert_close(outputs[:2], expected[:2], rtol=1e-5, atol=2e-5, why="sums of up to 40 roundings, in another order")
+    np.testing.assert_array_equal(outputs[2], expected[2])
     for a, b in zip(slopes, right, strict=True):
         assert np.linalg.norm(a - b) < 1e-4 * max(np.linalg.norm(b), 1e-6)
 

@@ -69,9 +69,9 @@ def test_vmap_scan_eager_and_donation_are_the_plain_call():
     gradient, mapped = jax.jit(jax.vmap(gradient_and_image))(opacities)
     assert_close(mapped, np.stack(each))
     plain = jax.jit(gradient_and_image)
-    for found, x in zip(gradient, opacities, strict=True):
+    for mapped_gradient, x in zip(gradient, opacities, strict=True):
         alone = plain(x)[0]
-        assert np.linalg.norm(found - alone) <= 1e-5 * np.linalg.norm(alone)
+        assert np.linalg.norm(mapped_gradient - alone) <= 1e-5 * np.linalg.norm(alone)
 
 
 def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, caplog):
@@ -150,8 +150,8 @@ def test_six_threads_at_once_neither_hang_nor_differ():
     process = stressed(seconds)
     out, err = process.communicate(timeout=seconds + 120)
     assert process.returncode == 0, err
-    told = json.loads(out.splitlines()[-1])
-    assert told["wrong"] == 0 and told["calls"] > 6
+    report = json.loads(out.splitlines()[-1])
+    assert report["wrong"] == 0 and report["calls"] > 6
 
 
 ENOUGH = 4096

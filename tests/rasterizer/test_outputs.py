@@ -126,8 +126,8 @@ def test_normals_are_the_smallest_axes_facing_the_camera():
     normal = np.array([0, np.sin(angle), -np.cos(angle)])
     np.testing.assert_allclose(info["normals"][0, 8, 8], float(alphas[0, 8, 8, 0]) * normal, atol=1e-6)
     turned_over = replace(disc, quats=jnp.asarray([[0, 0, np.cos(angle / 2), np.sin(angle / 2)]], jnp.float32))
-    seen = outputs(turned_over, {}, "native", EVERYTHING[-1:])[2]["normals"][0, 8, 8]
-    assert seen[2] < 0 and abs(np.linalg.norm(seen) - float(alphas[0, 8, 8, 0])) < 1e-6
+    normal_over = outputs(turned_over, {}, "native", EVERYTHING[-1:])[2]["normals"][0, 8, 8]
+    assert normal_over[2] < 0 and abs(np.linalg.norm(normal_over) - float(alphas[0, 8, 8, 0])) < 1e-6
     # A zero quaternion is the identity, a round Gaussian has some axis: all finite, and no gradient but to the turn.
     odd = replace(disc, quats=jnp.zeros((1, 4)), scales=jnp.full((1, 3), 0.3))
     _, _, info, gradient = outputs(odd, {}, "native", EVERYTHING[-1:])
@@ -233,7 +233,7 @@ def test_odd_covariances_are_drawn_or_hidden_but_never_disturb(name, covar):
     "backend", ["native", *(pytest.param(x, marks=pytest.mark.long) for x in ("reference", "xla", "pallas"))]
 )
 def test_a_masked_tile_is_background_and_the_rest_keeps_its_bits(backend):
-    masks, drawn = with_masks()
+    masks, is_drawn = with_masks()
     # One program for both: in another one the same sums may be taken in another order.
     options = (*EVERYTHING, ("depth_mode", "plane"))
 
@@ -244,8 +244,8 @@ def test_a_masked_tile_is_background_and_the_rest_keeps_its_bits(backend):
     assert_close(image, render(OF_ALL, backend=backend, capacity=4096, tile_size=TILE, **dict(options))[0])
     masked_image, masked_alphas, _, gradient = with_its(masks)
     background = np.broadcast_to(np.asarray(OF_ALL.backgrounds)[:, None, None], image.shape)
-    np.testing.assert_array_equal(masked_image, np.where(drawn[..., None], image, background))
-    np.testing.assert_array_equal(masked_alphas, np.where(drawn[..., None], alphas, 0))
+    np.testing.assert_array_equal(masked_image, np.where(is_drawn[..., None], image, background))
+    np.testing.assert_array_equal(masked_alphas, np.where(is_drawn[..., None], alphas, 0))
     nothing = with_its(np.zeros((2, 2, 3), bool))[3]
     for field in GAUSSIAN_FIELDS:
         assert np.any(getattr(gradient, field))

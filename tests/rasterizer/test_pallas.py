@@ -41,8 +41,8 @@ def test_with_sorted_sums_the_backward_pass_adds_by_no_scatter(passes):
     assert np.linalg.norm(gradient - expected) < 1e-5 * np.linalg.norm(expected)
 
     def adds(program):
-        found = equations(jax.make_jaxpr(program)(*arguments).jaxpr)
-        return [e for e in found if "scatter" in e.primitive.name and "add" in e.primitive.name]
+        operations = equations(jax.make_jaxpr(program)(*arguments).jaxpr)
+        return [e for e in operations if "scatter" in e.primitive.name and "add" in e.primitive.name]
 
     assert adds(backward) and not [e for e in adds(ordered) if jnp.issubdtype(e.outvars[0].aval.dtype, jnp.floating)]
 
@@ -74,8 +74,8 @@ def test_a_slot_without_a_gradient_is_scattered_past_the_rows(passes):
         *jax.tree.leaves(arguments)
     )
     index, added = np.asarray(index)[:, 0], np.asarray(added)
-    kept = index < len(rows)
-    assert kept.any() and not kept[int(offsets[-1]) :].any()
+    is_added = index < len(rows)
+    assert is_added.any() and not is_added[int(offsets[-1]) :].any()
     np.testing.assert_array_equal(index, np.where(added.any(-1), splats, len(rows)))
     # Bit by bit what adding all of them gives, in the order of the slots.
     everything = np.zeros_like(rows)
@@ -110,10 +110,10 @@ def test_lists_cut_in_segments_equal_the_reference():
         jax.jit(jax.value_and_grad(partial(weighed, blended), (0, 1, 2, 3), has_aux=True))(*splats)
         for blended in (partial(tiles, 256), partial(tiles, 16), dense)
     ]
-    (((_, shown), slopes), ((_, shown_in_parts), slopes_in_parts), ((_, right), expected_slopes)) = results
-    assert_close(shown_in_parts[:2], right[:2])
-    jax.tree.map(np.testing.assert_array_equal, shown_in_parts[1:], shown[1:])
-    np.testing.assert_array_equal(shown_in_parts[2], right[2])
+    (((_, outputs), slopes), ((_, outputs_in_parts), slopes_in_parts), ((_, right), expected_slopes)) = results
+    assert_close(outputs_in_parts[:2], right[:2])
+    jax.tree.map(np.testing.assert_array_equal, outputs_in_parts[1:], outputs[1:])
+    np.testing.assert_array_equal(outputs_in_parts[2], right[2])
     names = "means2d", "conics", "opacities", "features"
     for name, a, b, c in zip(names, slopes_in_parts, expected_slopes, slopes, strict=True):
         assert np.linalg.norm(a - b) < 1e-5 * np.linalg.norm(b), name
@@ -190,12 +190,12 @@ def tile():
 @needs_mosaic
 def test_kernels_by_mosaic_equal_their_twin(tile):
     program, splats = tile
-    (_, shown), slopes = program(_mosaic.engine(interpret=True, segment_size=16))(*splats)
+    (_, outputs), slopes = program(_mosaic.engine(interpret=True, segment_size=16))(*splats)
     (_, expected), right = program(_xla.ENGINE)(*splats)
-    assert_close(shown[:2], expected[:2])
-    np.testing.assert_array_equal(shown[2], expected[2])
-    for found, wanted in zip(slopes, right, strict=True):
-        assert np.linalg.norm(found - wanted) < 1e-5 * np.linalg.norm(wanted)
+    assert_close(outputs[:2], expected[:2])
+    np.testing.assert_array_equal(outputs[2], expected[2])
+    for slope, reference in zip(slopes, right, strict=True):
+        assert np.linalg.norm(slope - reference) < 1e-5 * np.linalg.norm(reference)
 
 
 @needs_mosaic

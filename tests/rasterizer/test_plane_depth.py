@@ -40,10 +40,10 @@ def conditional_slopes(scene, eps2d=0.3, near_plane=0.01):
 def test_slopes_are_those_of_the_conditional_mean(splats, options, of_covariances):
     scene = cloud(seed=1)
     covars = quat_scale_to_covar_preci(scene.quats, scene.scales)[0] if of_covariances else None
-    found = splats(scene, covars, **options)
+    projection = splats(scene, covars, **options)
     expected = conditional_slopes(scene, options.get("eps2d", 0.3))
-    error = np.linalg.norm(found.slopes[0] - expected, axis=-1)
-    assert found.visible.sum() > 20
+    error = np.linalg.norm(projection.slopes[0] - expected, axis=-1)
+    assert projection.visible.sum() > 20
     # A covariance has lost the digits that thin axes need.
     assert np.max(error) < (1e-4 if of_covariances else 3e-6) * np.abs(expected).max()
 
@@ -52,9 +52,9 @@ def test_a_needle_of_aspect_a_million_keeps_its_slope(splats):
     rng = np.random.default_rng(0)
     scene = cloud(seed=3)
     needles = replace(scene, scales=jnp.asarray(10.0 ** rng.choice([-6, 0], (40, 3)), jnp.float32))
-    found, expected = splats(needles), conditional_slopes(needles)
-    error = np.linalg.norm(found.slopes[0] - expected, axis=-1) / np.linalg.norm(expected, axis=-1)
-    assert np.max(error[np.asarray(found.visible[0])]) < 1e-4
+    projection, expected = splats(needles), conditional_slopes(needles)
+    error = np.linalg.norm(projection.slopes[0] - expected, axis=-1) / np.linalg.norm(expected, axis=-1)
+    assert np.max(error[np.asarray(projection.visible[0])]) < 1e-4
 
 
 def test_no_splat_shows_a_depth_behind_the_near_plane_nor_far_from_its_centres(splats):
@@ -71,11 +71,11 @@ def test_no_splat_shows_a_depth_behind_the_near_plane_nor_far_from_its_centres(s
         mean2d, slope = (np.asarray(part[0, n], np.float64) for part in (p.means2d, p.slopes))
         dx, dy = x - mean2d[0], y - mean2d[1]
         sigmas = np.sqrt(xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy)
-        shown = np.asarray(scene.opacities, np.float64)[n] * np.exp(-0.5 * sigmas**2) >= 1 / 255
+        is_drawn = np.asarray(scene.opacities, np.float64)[n] * np.exp(-0.5 * sigmas**2) >= 1 / 255
         offset = slope[0] * dx + slope[1] * dy
         z = float(p.depths[0, n])
         assert np.all(np.abs(offset) <= np.sqrt(joint[n, 2, 2]) * sigmas * (1 + 1e-5) + 1e-6)
-        assert np.all(z + offset[shown] >= near - 1e-5 * z)
+        assert np.all(z + offset[is_drawn] >= near - 1e-5 * z)
         flattened += np.linalg.norm(slope) < 0.99 * np.linalg.norm(
             np.linalg.solve(joint[n, :2, :2] + 0.3 * np.eye(2), joint[n, :2, 2])
         )
@@ -107,7 +107,7 @@ def wall(normal, *, focal=60.0, distance=4.0, spacing=0.25, per_side=21):
 
 
 @partial(jax.jit, static_argnames="depth_mode")
-def drawn(scene, depth_mode):
+def expected_depth(scene, depth_mode):
     return render(scene, render_mode="ED", depth_mode=depth_mode, capacity=4096, backend="xla")
 
 
@@ -123,7 +123,7 @@ def true_depth(scene, normal, distance=4.0):
 @pytest.mark.parametrize("normal", [(0.5, 0.0, -1.0), (0.4, -0.6, -1.0), (1.0, 0.3, -1.0)])
 def test_a_tilted_wall_of_discs_has_the_depth_of_its_plane(normal):
     scene = wall(normal)
-    (plane, alphas, info), (center, _, of_centers) = (drawn(scene, mode) for mode in ("plane", "center"))
+    (plane, alphas, info), (center, _, of_centers) = (expected_depth(scene, mode) for mode in ("plane", "center"))
     assert info["slopes"] is not None and of_centers["slopes"] is None
     expected = true_depth(scene, normal)
     inside = np.asarray(alphas[0, ..., 0]) > 0.99

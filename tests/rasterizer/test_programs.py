@@ -133,9 +133,9 @@ def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
 
     on_cpu, expected = branches()
     monkeypatch.setattr(tracing, "default_device", lambda: SimpleNamespace(platform="gpu"))
-    on_gpu, found = branches()
+    on_gpu, value = branches()
     assert on_cpu >= 2 and on_gpu == 0
-    assert_close(found, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
+    assert_close(value, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
 
 
 def test_covariances_leave_the_quaternions_out():

@@ -76,7 +76,7 @@ def zeros(*shape):
 )
 def test_what_does_not_fit(changes, message):
     with pytest.raises(ValueError, match=message) as caught:
-        drawn(**changes)
+        rasterize(**changes)
     assert "\n" not in str(caught.value)
 
 
@@ -92,13 +92,13 @@ def test_what_does_not_fit(changes, message):
 )
 def test_what_is_no_array(means, message):
     with pytest.raises(TypeError, match=message) as caught:
-        drawn(means=means)
+        rasterize(means=means)
     assert "\n" not in str(caught.value)
     with pytest.raises(TypeError, match=message):
         rasterizer.world_to_cam(means, zeros(40, 3, 3), SCENE.viewmats)
 
 
-def drawn(**changes):
+def rasterize(**changes):
     fields = vars(SCENE) | {"capacity": 2048} | changes
     return rasterization(**fields)
 
@@ -106,7 +106,7 @@ def drawn(**changes):
 @pytest.mark.parametrize("option", ["packed", "sparse_grad", "with_ut", "renger_mode"])
 def test_arguments_that_are_not_supported_are_no_arguments(option):
     with pytest.raises(TypeError, match=f"unexpected keyword argument '{option}'"):
-        drawn(**{option: True})
+        rasterize(**{option: True})
 
 
 def test_leading_dimensions_that_do_not_fit():
@@ -119,7 +119,7 @@ def test_leading_dimensions_that_do_not_fit():
 
 def test_a_size_that_is_traced():
     with pytest.raises(ValueError, match="width is traced, but static"):
-        jax.jit(lambda width: drawn(width=width)[0])(SCENE.width)
+        jax.jit(lambda width: rasterize(width=width)[0])(SCENE.width)
 
 
 @pytest.mark.parametrize(
@@ -177,4 +177,4 @@ def test_blending_without_lists_by_a_backend_that_needs_them():
 )
 def test_derivatives_that_the_tiles_do_not_have(derivative):
     with pytest.raises(TypeError, match="need backend='reference'"):
-        derivative(lambda c: drawn(colors=c)[0], SCENE.colors)
+        derivative(lambda c: rasterize(colors=c)[0], SCENE.colors)

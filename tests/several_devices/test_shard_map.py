@@ -133,7 +133,7 @@ def test_a_view_of_gsjax():
     gaussians, (viewmats, Ks) = scene(), cameras()
     K, black, how = Ks[0], jnp.zeros(3, jnp.float32), {"with_depth": True, "depth_mode": "front"}
 
-    def shown(gaussians, viewmats):
+    def colors_and_depths(gaussians, viewmats):
         drawable = Drawable(
             gaussians["means"],
             gaussians["opacities"],
@@ -148,4 +148,4 @@ def test_a_view_of_gsjax():
         ]
         return jnp.stack([view.colors for view in views]), jnp.stack([view.depth for view in views])
 
-    assert_close(over_devices(shown)(gaussians, viewmats), jax.jit(shown)(gaussians, viewmats))
+    assert_close(over_devices(colors_and_depths)(gaussians, viewmats), jax.jit(colors_and_depths)(gaussians, viewmats))

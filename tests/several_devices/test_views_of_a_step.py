@@ -110,12 +110,12 @@ def summary(state, metrics):
 @cache
 def one_by_one(rule):
     """Means over the four views, and the statistics after all of them."""
-    step, statistics, found = make_step(rule), start(rule).statistics, []
+    step, statistics, summaries = make_step(rule), start(rule).statistics, []
     for target in views():
         state, metrics = step(replace(start(rule), statistics=statistics), target, KEY)
         statistics = jax.tree.map(jnp.array, state.statistics)
-        found.append(summary(state, metrics)[:2])
-    values, gradients = jax.tree.map(lambda *each: np.mean(np.stack(each).astype(np.float64), 0), *found)
+        summaries.append(summary(state, metrics)[:2])
+    values, gradients = jax.tree.map(lambda *each: np.mean(np.stack(each).astype(np.float64), 0), *summaries)
     return SimpleNamespace(values=values, gradients=gradients, statistics=jax.tree.map(np.array, statistics))
 
 
@@ -182,7 +182,7 @@ def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_
     optimizer = make_optimizer(Rates(), 1.0, 6)
 
     def fitted(num_devices, state=None):
-        mesh, told = device_mesh(num_devices, 2), []
+        mesh, states = device_mesh(num_devices, 2), []
         state = (
             initial_state(cloud(30, capacity=ROWS, seed=1), optimizer, DENSIFICATION_RULES["adc"])
             if state is None
@@ -193,13 +193,13 @@ def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_
             frames,
             1.0,
             optimizer,
-            observe=lambda progress: told.append(jax.device_get(progress.state)),
+            observe=lambda progress: states.append(jax.device_get(progress.state)),
             mesh=mesh,
         )
-        return jax.device_get(follow(work, data_parallel.replicate(state, mesh))), told
+        return jax.device_get(follow(work, data_parallel.replicate(state, mesh))), states
 
-    (one, _), (two, told) = fitted(1), fitted(2)
-    assert int(count_alive(told[3].gaussians)) > 30
+    (one, _), (two, states) = fitted(1), fitted(2)
+    assert int(count_alive(states[3].gaussians)) > 30
     assert_close(two.gaussians, one.gaussians, **ROUNDED)
-    resumed, _ = fitted(1, told[3])
+    resumed, _ = fitted(1, states[3])
     assert_close(resumed.gaussians, one.gaussians, **ROUNDED)

@@ -114,8 +114,8 @@ def test_the_terms_are_those_written_out_in_float64(gaussians, alone):
     nearest = surroundings.none_yet(COUNT) if alone else nearest_of(gaussians)
     expected = expected_terms(gaussians, nearest)
     for index, term in enumerate(TERMS):
-        found = value_and_gradient(term, gaussians, nearest=nearest)[0]
-        assert_close(found, expected[index], rtol=1e-4, atol=0, why="float32 over deviations of a hundredth of a unit")
+        value = value_and_gradient(term, gaussians, nearest=nearest)[0]
+        assert_close(value, expected[index], rtol=1e-4, atol=0, why="float32 over deviations of a hundredth of a unit")
 
 
 @pytest.mark.parametrize("term", TERMS)
@@ -151,10 +151,10 @@ def test_gradients_equal_finite_differences(term, x64):
 
 def test_rows_are_drawn_alike_among_those_that_may_be():
     among = np.arange(50) % 7 == 3
-    found = np.bincount(sugar.choose_rows(KEY, jnp.asarray(among), 70_000), minlength=50)
-    assert not found[~among].any()
+    counts = np.bincount(sugar.choose_rows(KEY, jnp.asarray(among), 70_000), minlength=50)
+    assert not counts[~among].any()
     share = among.sum() / 70_000
-    np.testing.assert_allclose(found[among] * share, 1, atol=5 * np.sqrt(share))
+    np.testing.assert_allclose(counts[among] * share, 1, atol=5 * np.sqrt(share))
     assert set(np.asarray(sugar.choose_rows(KEY, jnp.zeros(5, bool), 9))) <= set(range(5))
 
 
@@ -186,7 +186,7 @@ def test_value_and_gradient_are_finite(term, name):
 
 
 @pytest.mark.parametrize(
-    ("term", "given"),
+    ("term", "changes"),
     [
         (sugar_sdf, {"visible": ~ALL}),
         (sugar_density, {"visible": ~ALL}),
@@ -195,7 +195,7 @@ def test_value_and_gradient_are_finite(term, name):
     ],
     ids=["sdf unseen", "density unseen", "no depth", "behind"],
 )
-def test_with_nobody_to_draw_from_there_is_neither_value_nor_gradient(term, given):
-    value, gradient = value_and_gradient(term, **{"gaussians": WALL, **given})
+def test_with_nobody_to_draw_from_there_is_neither_value_nor_gradient(term, changes):
+    value, gradient = value_and_gradient(term, **{"gaussians": WALL, **changes})
     assert float(value) == 0
     assert not any(np.any(leaf) for leaf in jax.tree.leaves(gradient))
