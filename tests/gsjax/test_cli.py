@@ -86,14 +86,14 @@ def test_settings_come_from_the_preset_the_options_and_set(library):
     assert keywords == {"resume": False}
     options = ["--preset", "balanced", "--seed", "3", "--downscale", "2", "--background", "white", "--vanilla"]
     settings, _ = train_settings(library, "--out", "r", *options, "--normals", "maps", "--masks", "matte")
-    given = {
+    changes = {
         "seed": 3,
         "photos": {"downscale": 2, "masks": "matte"},
         "model": {"background": "white"},
         "schedule": {"vanilla": True},
         "supervision": {"normals": "maps"},
     }
-    assert settings == preset("balanced", given)
+    assert settings == preset("balanced", changes)
     settings, _ = train_settings(library, "--out", "r", "--normals", "maps")
     assert settings == preset("fast", {"supervision": {"normals": "maps"}})
     options = ["--normals", "maps", "--set", "schedule.phases.surface.weights.pixel_normal=0.3"]
@@ -105,10 +105,10 @@ def test_settings_come_from_the_preset_the_options_and_set(library):
 
 
 def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library, tmp_path, monkeypatch, capsys):
-    asked = []
+    calls = []
 
     def budgeted(scene, candidates, seconds, lasting):
-        asked.append((scene, list(candidates), seconds, lasting))
+        calls.append((scene, list(candidates), seconds, lasting))
         settings = next(iter(candidates.values())).replace(schedule={"sh_every": 77})
         return settings, "fast, 0.5 times its steps"
 
@@ -120,7 +120,7 @@ def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library
     assert capsys.readouterr().err.splitlines() == ["budget of 10m: fast, 0.5 times its steps"]
     train_settings(library, "--out", run, "--budget", "1h", "--preset", "balanced")
     train_settings(library, "--out", run, "--budget", "1h", "--set", "model.sh_degree=2", "model.max_gaussians=50")
-    assert asked == [
+    assert calls == [
         ("scene", list(LENGTHS), 600, "steps and Gaussians"),
         ("scene", ["balanced"], 3600, "steps and Gaussians"),
         ("scene", list(LENGTHS), 3600, "steps"),  # keeps the number that was asked for
@@ -128,9 +128,9 @@ def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library
 
     runs.create(run, config.to_dict(settings), scene="scene", seed=3)
     assert train_settings(library, "--out", run, "--budget", "10m", "--resume")[0] == settings
-    assert len(asked) == 3
+    assert len(calls) == 3
     assert cli.main(["train", "scene", "--out", run, "--budget", "10m"]) == 2
-    assert "this folder is not empty" in capsys.readouterr().err and len(asked) == 3
+    assert "this folder is not empty" in capsys.readouterr().err and len(calls) == 3
     for text in ("10", "0s", "soon"):
         assert cli.main(["train", "scene", "--out", str(tmp_path / "other"), "--budget", text]) == 2
         error = f"gsjax: error: --budget {text}: not a time, such as 90s, 10m or 1.5h"
@@ -230,8 +230,8 @@ def test_eval_writes_json_and_prints_a_table_and_what_is_not_scored(library, tmp
 
 
 def test_normals_are_a_folder_a_name_or_whatever_the_scene_holds(library):
-    for given, meant in ((["maps"], "maps"), (["moge2"], "moge2"), ([], "auto")):
-        assert train_settings(library, "--out", "r", "--normals", *given)[0].supervision.normals == meant
+    for values, meant in ((["maps"], "maps"), (["moge2"], "moge2"), ([], "auto")):
+        assert train_settings(library, "--out", "r", "--normals", *values)[0].supervision.normals == meant
     assert train_settings(library, "--out", "r")[0].supervision.normals is None
 
 

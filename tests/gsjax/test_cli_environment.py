@@ -175,8 +175,8 @@ except BaseException:
 """What nanobind does with an exception while it imports."""
 
 
-@pytest.mark.parametrize(("number", "told"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
-def test_a_signal_while_jax_is_imported_ends_the_process(tmp_path, number, told):
+@pytest.mark.parametrize(("number", "message"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
+def test_a_signal_while_jax_is_imported_ends_the_process(tmp_path, number, message):
     """An exception there aborts the process, with a traceback of 150 lines."""
     (tmp_path / "jax").mkdir()
     (tmp_path / "jax" / "__init__.py").write_text(COMPILED_MODULE)
@@ -187,5 +187,5 @@ def test_a_signal_while_jax_is_imported_ends_the_process(tmp_path, number, told)
     with subprocess.Popen(command, env=own, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "loading\n"
         process.send_signal(number)
-        assert process.communicate(timeout=30)[1] == f"gsjax: {told}\n"
+        assert process.communicate(timeout=30)[1] == f"gsjax: {message}\n"
     assert process.returncode == 128 + number

@@ -33,7 +33,7 @@ def assert_gradients(function, *arguments):
 
 @pytest.mark.parametrize("depth_mode", ["plane", "front"])
 def test_of_a_render_to_the_gaussians_and_the_camera(x64, depth_mode):
-    def shown(gaussians, viewmat, K):
+    def render(gaussians, viewmat, K):
         view = gsjax.render(
             gaussians,
             replace(camera, viewmat=viewmat, K=K),
@@ -44,7 +44,7 @@ def test_of_a_render_to_the_gaussians_and_the_camera(x64, depth_mode):
         return view.colors, view.alphas, view.depth
 
     camera = doubles(camera_at(size=SIZE, focal=15.0))
-    assert_gradients(shown, doubles(cloud(8)), camera.viewmat, camera.K)
+    assert_gradients(render, doubles(cloud(8)), camera.viewmat, camera.K)
 
 
 def test_of_the_composited_sdf_gradient_to_the_gaussians(x64):

@@ -46,9 +46,9 @@ def test_each_of_the_lengths_is_longer_than_the_one_before_and_none_than_the_pap
 
 
 def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
-    looking = {name for name in PRESETS if parse(Settings, PRESETS[name]).effects.names == "auto"}
-    assert looking == set(LENGTHS)
-    assert {parse(Settings, PRESETS[name]).effects.names for name in PRESETS.keys() - looking} == {"none"}
+    names = {name for name in PRESETS if parse(Settings, PRESETS[name]).effects.names == "auto"}
+    assert names == set(LENGTHS)
+    assert {parse(Settings, PRESETS[name]).effects.names for name in PRESETS.keys() - names} == {"none"}
 
 
 @pytest.mark.parametrize(
@@ -92,8 +92,8 @@ def test_normal_maps_weigh_more_in_fast_than_what_the_photos_say_themselves():
     with_maps = preset("fast", {"supervision": {"normals": "maps"}})
     assert (weight_of_normals(preset("fast")), weight_of_normals(with_maps)) == (0.1, 0.4)
     own = [{"name": "a", "steps": 1, "weights": {"pixel_normal": 0.2}}]
-    given = {"supervision": {"normals": "maps"}, "schedule": {"phases": own}}
-    assert preset("fast", given).schedule.phases[0].weights["pixel_normal"] == 0.2
+    changes = {"supervision": {"normals": "maps"}, "schedule": {"phases": own}}
+    assert preset("fast", changes).schedule.phases[0].weights["pixel_normal"] == 0.2
     for name in PRESETS.keys() - {"fast"}:
         assert preset(name, {"supervision": {"normals": "maps"}}).schedule == preset(name).schedule
 
@@ -105,18 +105,18 @@ def test_settings_are_hashable_and_frozen():
 
 
 @pytest.mark.parametrize(
-    ("given", "names"),
+    ("choice", "names"),
     [("none", ()), ("auto", ()), ("vignetting, exposure", ("exposure", "vignetting")), ("exposure", ("exposure",))],
 )
-def test_effects_are_named_in_any_order(given, names):
-    assert named_effects(given) == names
-    assert EffectChoice(given).names == given
+def test_effects_are_named_in_any_order(choice, names):
+    assert named_effects(choice) == names
+    assert EffectChoice(choice).names == choice
 
 
-@pytest.mark.parametrize("given", ["fog", "exposure,", "Auto", "none,exposure"])
-def test_unknown_effects_are_refused(given):
+@pytest.mark.parametrize("choice", ["fog", "exposure,", "Auto", "none,exposure"])
+def test_unknown_effects_are_refused(choice):
     with pytest.raises(ValueError, match="is none of auto, none, exposure, vignetting"):
-        EffectChoice(given)
+        EffectChoice(choice)
 
 
 def test_rates_that_no_file_told_are_held_to_the_same():
@@ -140,7 +140,7 @@ def test_a_preset_makes_a_refinement_with_or_without_parse(name):
 
 def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
     """Numbers of numpy and jax, paths, lists and tables; and all of it is hashable, equal and can be written."""
-    given = Settings(
+    settings = Settings(
         seed=np.int64(3),
         photos={"downscale": np.float32(2)},
         supervision=Supervision(normals=Path("maps"), depth=Path("depth")),
@@ -168,12 +168,12 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
         density=Density(rule="error", start=7),
         logging=Logging(metrics_every=5),
     )
-    assert given == plain and hash(given) == hash(plain)
-    assert json.loads(json.dumps(to_dict(given))) == to_dict(plain)
+    assert settings == plain and hash(settings) == hash(plain)
+    assert json.loads(json.dumps(to_dict(settings))) == to_dict(plain)
     assert (
-        type(given.seed) is int
-        and type(given.photos.downscale) is float
-        and type(given.schedule.phases[0].weights["mine"]) is float
+        type(settings.seed) is int
+        and type(settings.photos.downscale) is float
+        and type(settings.schedule.phases[0].weights["mine"]) is float
     )
 
 

@@ -159,16 +159,18 @@ def test_a_point_is_visible_where_the_depth_map_shows_it(camera, view, world_poi
     rows, columns = np.nonzero(hit)
     facing = -np.sum(view.normals * np.asarray(unproject(jnp.ones(hit.shape, jnp.float32), camera)), axis=-1)[hit] > 0.2
     visible_all = jax.jit(jax.vmap(solids.visible, in_axes=(0, None)))
-    seen = world_points[hit].astype(np.float32)
+    surface_points = world_points[hit].astype(np.float32)
     assert (
-        np.asarray(visible_all(seen, camera))[facing].mean() > 0.99
+        np.asarray(visible_all(surface_points, camera))[facing].mean() > 0.99
     )  # but for rays that graze another solid on their way
     eye = np.asarray(center(camera))
-    behind = seen + np.float32(0.05) * (seen - eye) / np.linalg.norm(seen - eye, axis=1, keepdims=True)
+    behind = surface_points + np.float32(0.05) * (surface_points - eye) / np.linalg.norm(
+        surface_points - eye, axis=1, keepdims=True
+    )
     assert not np.asarray(visible_all(behind, camera)).any()
-    outside = eye + 3 * (eye - seen)
+    outside = eye + 3 * (eye - surface_points)
     assert not np.asarray(visible_all(outside.astype(np.float32), camera)).any()
-    assert len(rows) == len(columns) == len(seen)
+    assert len(rows) == len(columns) == len(surface_points)
 
 
 def test_cameras_look_at_the_solids_from_all_sides():

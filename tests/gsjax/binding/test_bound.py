@@ -172,14 +172,14 @@ def gradient(bound, of=objective):
 def test_the_gradient_is_the_finite_difference(x64):
     single = trained(crumpled())
     bound = jax.tree.map(lambda leaf: leaf.astype(jnp.float64) if leaf.dtype == jnp.float32 else leaf, single)
-    found = gradient(bound)
+    gradients = gradient(bound)
     rng = np.random.default_rng(0)
     value = jax.jit(objective)
     for name in ("vertices", "log_scales", "rotations", "logit_opacities"):
         here = getattr(bound, name)
         direction = rng.normal(size=here.shape)
         ahead, behind = (value(replace(bound, **{name: here + step * direction})) for step in (1e-6, -1e-6))
-        slope = np.sum(np.asarray(getattr(found, name)) * direction)
+        slope = np.sum(np.asarray(getattr(gradients, name)) * direction)
         assert abs(slope) > 1e-3
         np.testing.assert_allclose(slope, (ahead - behind) / 2e-6, rtol=1e-6)
 
@@ -210,24 +210,24 @@ def test_a_collapsed_triangle_is_finite_is_not_drawn_and_leaves_the_others_alone
     if corners != HOPELESS["tiny"]:
         assert np.all(np.asarray(opacities(collapsed))[-4:] == 0)
         assert np.all(to_gaussians(collapsed).logit_opacities[-4:] == DEAD_LOGIT)
-    assert_close(shown(collapsed).colors, shown(unseen).colors)
-    expected, found = gradient(unseen, brightness), gradient(collapsed, brightness)
+    assert_close(render_bound(collapsed).colors, render_bound(unseen).colors)
+    expected, gradients = gradient(unseen, brightness), gradient(collapsed, brightness)
     for name in ("vertices", "log_scales", "rotations", "logit_opacities", "sh_dc"):
         assert float(jnp.abs(getattr(expected, name)).max()) > 0
-    assert_close(found, expected, kind="gradient")  # both zero for the ninth
+    assert_close(gradients, expected, kind="gradient")  # both zero for the ninth
 
 
 CAMERA = camera_at(size=(24, 24))
 
 
 @jax.jit
-def shown(bound):
+def render_bound(bound):
     return rendering.render(bound, CAMERA, capacity=4096, background=jnp.zeros(3, jnp.float32))
 
 
 def brightness(bound):
     weights = np.random.default_rng(5).uniform(size=(24, 24, 3))
-    return jnp.sum(shown(bound).colors * jnp.asarray(weights, jnp.float32))
+    return jnp.sum(render_bound(bound).colors * jnp.asarray(weights, jnp.float32))
 
 
 def test_duplicate_faces_share_their_gradient():
@@ -256,11 +256,11 @@ def test_a_rotation_of_zero_is_none_and_has_no_gradient():
 
 def test_the_same_picture_is_drawn_from_the_mesh_and_from_the_file():
     bound = with_ninth(BEHIND)
-    written = jax.tree.map(jnp.asarray, to_gaussians(bound))
+    gaussians = jax.tree.map(jnp.asarray, to_gaussians(bound))
     assert int(rendering.needed_capacity(bound, CAMERA)) <= 4096
-    assert float(shown(bound).alphas.max()) > 0.5
-    assert_close(shown(bound).colors, shown(written).colors)
-    rebuilt = free_gaussians.rotation_matrices(written.quats) * free_gaussians.scales(written)[:, None]
+    assert float(render_bound(bound).alphas.max()) > 0.5
+    assert_close(render_bound(bound).colors, render_bound(gaussians).colors)
+    rebuilt = free_gaussians.rotation_matrices(gaussians.quats) * free_gaussians.scales(gaussians)[:, None]
     assert_close(covariances(bound), np.einsum("gik,gjk->gij", rebuilt, rebuilt))
 
 

@@ -76,10 +76,10 @@ def test_the_far_side_is_in_the_mean_depth_of_discs_and_not_in_that_of_those_in_
     true = eye[2] / -world[:, 2]
     inner = np.all(np.abs(eye + true[:, None] * world)[:, :2] < 0.3, axis=1)
     mean, front = (next(gallery.pictures(start, [camera], np.zeros(3), m)).depth.ravel() for m in ("plane", "discs"))
-    shown = inner & (mean > 0)
+    is_covered = inner & (mean > 0)
     np.testing.assert_array_equal(mean > 0, front > 0)
-    assert shown.sum() > 0.9 * inner.sum()
-    off, off_front = ((depth - true * rays[:, 2])[shown] for depth in (mean, front))
+    assert is_covered.sum() > 0.9 * inner.sum()
+    off, off_front = ((depth - true * rays[:, 2])[is_covered] for depth in (mean, front))
     right, right_front = (np.mean(np.abs(each) < 0.011) for each in (off, off_front))  # within a pixel
     assert right < 0.3 and np.mean(off) > 0.03
     assert right_front > 0.6, "where discs leave less than four tenths of the light to the far side"

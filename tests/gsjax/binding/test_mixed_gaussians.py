@@ -47,7 +47,7 @@ FREE = {
 
 
 @jax.jit
-def drawn(gaussians, faces=None):
+def draw(gaussians, faces=None):
     """The picture, and the gradient of its weighted sum to everything but the faces of bound Gaussians."""
 
     def brightness(parameters):
@@ -66,8 +66,8 @@ def test_a_scene_looks_and_pulls_like_the_same_gaussians_without_a_mesh(free):
     hybrid = with_free(bound_at(), free)
     plain = jax.tree.map(jnp.asarray, all_gaussians(hybrid))
     assert (hybrid.num_gaussians, hybrid.num_free, plain.num_gaussians) == (15, 3, 15)
-    colors, pulls = drawn(replace(hybrid, bound=replace(hybrid.bound, faces=None)), hybrid.bound.faces)
-    expected_colors, expected = drawn(plain)
+    colors, pulls = draw(replace(hybrid, bound=replace(hybrid.bound, faces=None)), hybrid.bound.faces)
+    expected_colors, expected = draw(plain)
     assert_close(colors, expected_colors)
     for name in ("means", "log_scales", "quats", "logit_opacities", "sh_dc", "sh_rest"):
         assert_close(getattr(pulls.free, name), getattr(expected, name)[12:], kind="gradient")
@@ -99,13 +99,13 @@ def test_without_free_gaussians_nothing_of_them_is_in_the_program():
 
 @pytest.mark.parametrize("degree", [0, 1, 3])
 def test_free_gaussians_take_on_the_harmonics_and_the_filter_of_the_bound_ones(degree):
-    given = cloud(3, sh_degree=degree)
-    free = with_free(bound_at(), given).free
-    assert free.pixel_filter == "mip" and given.pixel_filter == "classic"
-    kept = min(free.sh_rest.shape[1], given.sh_rest.shape[1])
+    original = cloud(3, sh_degree=degree)
+    free = with_free(bound_at(), original).free
+    assert free.pixel_filter == "mip" and original.pixel_filter == "classic"
+    num_common = min(free.sh_rest.shape[1], original.sh_rest.shape[1])
     assert free.sh_rest.shape == (3, 3, 3)
-    np.testing.assert_array_equal(free.sh_rest[:, :kept], given.sh_rest[:, :kept])
-    assert not np.any(free.sh_rest[:, kept:])
+    np.testing.assert_array_equal(free.sh_rest[:, :num_common], original.sh_rest[:, :num_common])
+    assert not np.any(free.sh_rest[:, num_common:])
 
 
 @pytest.mark.parametrize("per_triangle", [1, 3])
@@ -117,9 +117,9 @@ def test_mesh_and_gaussians_as_they_are_written_are_the_scene_again_and_can_be_e
     jax.tree.map(np.testing.assert_array_equal, after.free, before.free)
     assert_close(means(after.bound), means(before.bound))
     moved = replace(after, bound=with_vertices(after.bound, mesh.vertices + [1.0, 0, 0]))
-    written = all_gaussians(moved)
+    gaussians = all_gaussians(moved)
     bound_rows = after.bound.num_gaussians
-    assert_close(written.means[:bound_rows], np.asarray(means(before.bound)) + [1.0, 0, 0])
-    np.testing.assert_array_equal(written.means[bound_rows:], before.free.means)
+    assert_close(gaussians.means[:bound_rows], np.asarray(means(before.bound)) + [1.0, 0, 0])
+    np.testing.assert_array_equal(gaussians.means[bound_rows:], before.free.means)
     with pytest.raises(InputError, match="Gaussians are not 1, 3, 4 or 6 to each of 4 triangles"):
         rebound(mesh, take(all_gaussians(before), slice(1, None)))

@@ -172,9 +172,9 @@ def some_steps(scene, beside):
     state = beside.state(np.r_[beside.means[:6], [[0, -9, 0], [0, -9, 0]]])
     states, metrics = [jax.tree.map(np.array, state)], []
     for index in range(12):
-        state, told = beside.step(state, scene.data.views[index % 6], jax.random.key(0))
+        state, step_metrics = beside.step(state, scene.data.views[index % 6], jax.random.key(0))
         states.append(jax.tree.map(np.array, state))
-        metrics.append(jax.tree.map(np.array, told))
+        metrics.append(jax.tree.map(np.array, step_metrics))
     assert not any(one.overflowed for one in metrics)
     return SimpleNamespace(states=states, metrics=metrics)
 
@@ -226,8 +226,8 @@ def test_the_rates_are_those_of_the_mesh_and_of_training():
     assert_close(updates.bound.log_scales, np.full((1, 2), -5e-3))
     rates = {"means": 2.0 * 1.6e-4, "quats": 1e-3, "log_scales": 5e-3, "logit_opacities": 0.05, "sh_dc": 2.5e-3}
     for name, rate in {**rates, "sh_rest": 1.25e-4}.items():
-        found = getattr(updates.free, name)
-        assert_close(found, np.full(found.shape, -rate))
+        update = getattr(updates.free, name)
+        assert_close(update, np.full(update.shape, -rate))
 
 
 def test_the_rates_of_bound_gaussians_fall_in_the_last_third_where_they_are_asked_to():

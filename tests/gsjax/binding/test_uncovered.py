@@ -73,7 +73,7 @@ def test_what_the_mesh_shows_goes_and_what_it_lacks_stays(whole):
 
 def test_the_choice_is_that_of_the_blending_weights(scene, data, whole):
     """Against the weights themselves: a channel a Gaussian, and numpy."""
-    shown = jax.jit(
+    render_view = jax.jit(
         lambda camera: rendering.render(
             scene,
             camera,
@@ -85,7 +85,7 @@ def test_the_choice_is_that_of_the_blending_weights(scene, data, whole):
     )
     light, bare, elsewhere = np.zeros((3, scene.num_gaussians))
     for camera in CAMERAS:
-        view = shown(camera)
+        view = render_view(camera)
         weights, mesh = np.asarray(view.extra, np.float64), mesh_depth(camera)
         off = (mesh > 0) & (np.abs(np.asarray(view.depth) - mesh) > SAME_SURFACE * mesh)
         own = np.asarray(scene.means, np.float64) @ np.asarray(camera.viewmat)[2, :3] + np.asarray(camera.viewmat)[2, 3]
@@ -98,10 +98,10 @@ def test_the_choice_is_that_of_the_blending_weights(scene, data, whole):
     at_border = np.abs(np.asarray(scene.means)[:, 0]) <= 2 * np.exp(np.asarray(scene.log_scales).max(axis=1))
     at_border &= np.abs(np.asarray(scene.means)[:, 2] - 4) < 0.2
     stays = (bare + elsewhere > 0.5 * light) | at_border & (bare > OVER_BORDER * light)
-    told = np.abs(bare + elsewhere - 0.5 * light) > 1e-3 * light
-    told &= ~at_border | (np.abs(bare - OVER_BORDER * light) > 1e-3 * light)
-    assert told.sum() > 150
-    np.testing.assert_array_equal(whole[told], stays[told])
+    is_clear = np.abs(bare + elsewhere - 0.5 * light) > 1e-3 * light
+    is_clear &= ~at_border | (np.abs(bare - OVER_BORDER * light) > 1e-3 * light)
+    assert is_clear.sum() > 150
+    np.testing.assert_array_equal(whole[is_clear], stays[is_clear])
     assert np.any(stays & (bare + elsewhere < 0.4 * light)), "some reach over the border"
     assert not np.any(whole[light == 0]) and np.any(light == 0)
 

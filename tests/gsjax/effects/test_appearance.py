@@ -29,11 +29,11 @@ def ring():
 
 def test_gains_that_follow_the_cameras_are_told_by_their_neighbours():
     frames, looks = ring()
-    found = as_near_photos(frames, looks)
-    assert list(found) == [f"{i:02}" for i in HELD_OUT]
-    off = [np.abs(np.subtract(look.log_gains, looks[name].log_gains)).max() for name, look in found.items()]
-    assert max(off) < 0.03 < 0.1 < np.mean([np.abs(looks[name].log_gains).max() for name in found])
-    assert {look.falloff for look in found.values()} == {(-0.1, 0.02)}
+    estimates = as_near_photos(frames, looks)
+    assert list(estimates) == [f"{i:02}" for i in HELD_OUT]
+    off = [np.abs(np.subtract(look.log_gains, looks[name].log_gains)).max() for name, look in estimates.items()]
+    assert max(off) < 0.03 < 0.1 < np.mean([np.abs(looks[name].log_gains).max() for name in estimates])
+    assert {look.falloff for look in estimates.values()} == {(-0.1, 0.02)}
 
 
 def test_nothing_of_a_held_out_photo_is_used():
@@ -50,9 +50,9 @@ def test_the_unit_of_the_scene_does_not_matter(scale):
         viewmat = frame.viewmat.copy()
         viewmat[:3, 3] *= scale
         grown.append(replace(frame, viewmat=viewmat))
-    found, expected = as_near_photos(grown, looks), as_near_photos(frames, looks)
+    estimates, expected = as_near_photos(grown, looks), as_near_photos(frames, looks)
     for name, look in expected.items():
-        np.testing.assert_allclose(found[name].log_gains, look.log_gains, atol=1e-5)
+        np.testing.assert_allclose(estimates[name].log_gains, look.log_gains, atol=1e-5)
 
 
 @pytest.mark.parametrize("count", [1, 2, NEAR_PHOTOS])
@@ -61,8 +61,8 @@ def test_few_photos_and_photos_that_all_stand_in_one_place(count):
     place = frame_from((0, -3, 0), "held", held_out=True)
     frames = [replace(place, name=f"{i}", held_out=False) for i in range(count)]
     looks = {f"{i}": Appearance((0.1 * i, 0.0, -0.1 * i), (0.0, 0.0)) for i in range(count)}
-    found = as_near_photos([*frames, place], looks | {"held": Appearance((5.0,) * 3, (0.0, 0.0))})
-    np.testing.assert_allclose(found["held"].log_gains, np.mean([look.log_gains for look in looks.values()], 0))
+    estimates = as_near_photos([*frames, place], looks | {"held": Appearance((5.0,) * 3, (0.0, 0.0))})
+    np.testing.assert_allclose(estimates["held"].log_gains, np.mean([look.log_gains for look in looks.values()], 0))
 
 
 def test_photos_that_look_the_same_way_tell_more_than_nearer_ones_that_look_the_other_way():
@@ -78,6 +78,6 @@ def test_photos_that_look_the_same_way_tell_more_than_nearer_ones_that_look_the_
     frames = [frame(0.1 * eye, wall, f"wall{i}") for i, eye in enumerate(eyes)]
     frames += [frame(0.25 * eye, window, f"window{i}") for i, eye in enumerate(eyes)]
     looks = {each.name: Appearance((-1.0,) * 3 if "window" in each.name else (1.0,) * 3, (0.0, 0.0)) for each in frames}
-    held = frame(np.zeros(3), window, "held", held_out=True)
-    found = as_near_photos([*frames, held], looks | {"held": Appearance((0.0,) * 3, (0.0, 0.0))})
-    assert found["held"].log_gains == pytest.approx((-1.0,) * 3)
+    held_out_frame = frame(np.zeros(3), window, "held", held_out=True)
+    estimates = as_near_photos([*frames, held_out_frame], looks | {"held": Appearance((0.0,) * 3, (0.0, 0.0))})
+    assert estimates["held"].log_gains == pytest.approx((-1.0,) * 3)

@@ -39,8 +39,8 @@ def test_a_sky_is_a_function_of_the_direction_in_the_world():
     coefficients[1:4] = np.random.default_rng(0).normal(size=(3, 3)) * 0.1
     x, y, z = np.moveaxis(rays(CAMERA), -1, 0)[..., None]
     expected = np.array([0.2, 0.5, 0.9]) + C1 * (-y * coefficients[1] + z * coefficients[2] - x * coefficients[3])
-    found = backdrop.color_behind(jnp.asarray(coefficients), CAMERA)
-    assert_close(found, np.float32(expected), atol=1e-6, rtol=0, why="sums of single numbers")
+    colors = backdrop.color_behind(jnp.asarray(coefficients), CAMERA)
+    assert_close(colors, np.float32(expected), atol=1e-6, rtol=0, why="sums of single numbers")
 
 
 def test_one_colour_is_three_numbers():
@@ -50,7 +50,7 @@ def test_one_colour_is_three_numbers():
     assert backdrop.color_behind(color, CAMERA) is color
 
 
-def shown(coefficients, viewmat, alphas, camera):
+def weighted_sum(coefficients, viewmat, alphas, camera):
     """Over a picture that covers so much: what the loss sees of a sky."""
     weights = jnp.asarray(np.random.default_rng(1).normal(size=(6, 8, 3)), coefficients.dtype)
     under = backdrop.color_behind(coefficients, Camera(viewmat, camera.K, camera.width, camera.height))
@@ -62,8 +62,8 @@ def test_gradients_to_sky_and_camera_are_finite_differences(x64):
     viewmat, K = (jnp.asarray(np.asarray(m), jnp.float64) for m in (CAMERA.viewmat, CAMERA.K))
     camera, alphas = Camera(viewmat, K, 8, 6), jnp.asarray(rng.random((6, 8)))
     coefficients = jnp.asarray(0.1 * rng.normal(size=(25, 3)) + backdrop.constant_coefficients(np.full(3, 0.5), 4))
-    value = jax.jit(lambda c, v: shown(c, v, alphas, camera))
-    slopes = jax.jit(jax.grad(lambda c, v: shown(c, v, alphas, camera), (0, 1)))(coefficients, viewmat)
+    value = jax.jit(lambda c, v: weighted_sum(c, v, alphas, camera))
+    slopes = jax.jit(jax.grad(lambda c, v: weighted_sum(c, v, alphas, camera), (0, 1)))(coefficients, viewmat)
     for _ in range(4):
         towards = (rng.normal(size=(25, 3)), np.r_[rng.normal(size=(3, 4)), np.zeros((1, 4))])
         ends = [value(coefficients + s * towards[0], viewmat + s * towards[1]) for s in (1e-6, -1e-6)]
@@ -75,7 +75,7 @@ def test_gradients_to_sky_and_camera_are_finite_differences(x64):
 def test_hard_cases_in_value_and_gradient(degree):
     """Nothing open gives a sky no gradient at all; a photo of nothing but sky gives it one; black and beyond holds."""
     coefficients = jnp.asarray(backdrop.constant_coefficients(np.full(3, 0.5), degree))
-    value = jax.jit(jax.value_and_grad(lambda c, a: shown(c, CAMERA.viewmat, a, CAMERA)))
+    value = jax.jit(jax.value_and_grad(lambda c, a: weighted_sum(c, CAMERA.viewmat, a, CAMERA)))
     total, slopes = value(coefficients, jnp.ones((6, 8)))
     assert total == 0 and not np.any(slopes)
     _, slopes = value(coefficients, jnp.zeros((6, 8)))
@@ -112,7 +112,7 @@ def test_a_sky_starts_as_the_photos_show_it():
     np.testing.assert_array_equal(background.initial(observe(wall())), np.zeros((1, 3)))
 
 
-def confirm(seen, proposed, skies):
+def confirm(observations, proposed, skies):
     """A validation in which every effect passes."""
     return dict.fromkeys(proposed, Validated(1.0, 0.1))
 
@@ -122,9 +122,9 @@ def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
     auto = plan(Settings(model=Model(background="white")))
     laid = choose_effects("auto", auto, white, confirm)
     assert "background" not in laid.effects
-    told = laid.evidence["evidence"]["background"]
-    assert not told["on"] and told["evidence"] == 1.0
-    assert told["note"].startswith("off: --background white lays that colour there; ")
+    record = laid.evidence["evidence"]["background"]
+    assert not record["on"] and record["evidence"] == 1.0
+    assert record["note"].startswith("off: --background white lays that colour there; ")
     over_black = choose_effects("auto", replace(auto, background="black"), white, confirm)
     assert "background" in over_black.effects and over_black.evidence["evidence"]["background"]["on"]
 

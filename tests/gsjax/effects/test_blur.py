@@ -26,18 +26,18 @@ def blurred(*indices):
     return replace(scene, frames=tuple(frames))
 
 
-def with_tracks(scene, kept):
-    """The scene with those of its observations alone that are kept: `kept(photo, point)`."""
+def with_tracks(scene, is_kept):
+    """The scene with those of its observations alone that are kept: `is_kept(photo, point)`."""
     tracks = scene.tracks()
-    there = kept(tracks.photo, tracks.point)
+    there = is_kept(tracks.photo, tracks.point)
     fewer = replace(tracks, photo=tracks.photo[there], point=tracks.point[there], rays=tracks.rays[there])
     return replace(scene, tracks=lambda: fewer)
 
 
 def test_a_blurred_photo_is_named():
-    found = diagnose(blurred(4)).effects["blur"]
-    assert found.on
-    assert found.note == "blurred: 04.png; 1 by more than 70 %, training leaves 1 out"
+    blur = diagnose(blurred(4)).effects["blur"]
+    assert blur.on
+    assert blur.note == "blurred: 04.png; 1 by more than 70 %, training leaves 1 out"
     assert not diagnose(blurred()).effects["blur"].on
 
 
@@ -45,8 +45,8 @@ def test_photos_are_left_out_where_others_see_what_they_see():
     scene = blurred(4, 7)
     assert photos_to_leave_out(observe(scene)) == ("04.png", "07.png")
     assert photos_to_leave_out(observe(blurred())) == ()
-    held = [replace(frame, held_out=frame.name == "07.png") for frame in scene.frames]
-    scene = replace(scene, frames=tuple(held))
+    frames = [replace(frame, held_out=frame.name == "07.png") for frame in scene.frames]
+    scene = replace(scene, frames=tuple(frames))
     assert photos_to_leave_out(observe(scene)) == ("04.png",), "held-out photos are not trained on"
 
 
@@ -61,9 +61,9 @@ def test_blurred_photos_do_not_vouch_for_each_other_and_one_sharp_one_is_too_few
     tracks = scene.tracks()
     shared = np.flatnonzero(np.bincount(tracks.point, minlength=400) == 12)  # seen by all photos
     for witnesses, expected in (((), ()), ((0,), ()), ((0, 1), ("04.png", "07.png"))):
-        chosen = (4, 7, *witnesses)
-        seen = with_tracks(scene, lambda photo, point, c=chosen: np.isin(photo, c) & np.isin(point, shared))
-        assert photos_to_leave_out(observe(seen)) == expected
+        photos = (4, 7, *witnesses)
+        partial_scene = with_tracks(scene, lambda photo, point, c=photos: np.isin(photo, c) & np.isin(point, shared))
+        assert photos_to_leave_out(observe(partial_scene)) == expected
 
 
 def test_without_tracks_nobody_knows_and_no_photo_is_left_out():
@@ -73,12 +73,12 @@ def test_without_tracks_nobody_knows_and_no_photo_is_left_out():
 @pytest.mark.parametrize(("effects", "expected"), [("auto", ("04.png",)), ("poses,blur", ("04.png",)), ("poses", ())])
 def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effects, expected, capsys):
     scene = blurred(4)
-    looked = look_for_effects(effects, scene)
-    assert looked.left_out == expected
+    result = look_for_effects(effects, scene)
+    assert result.left_out == expected
     names = tuple(frame.name for frame in scene.frames if frame.name not in expected)
-    assert tuple(frame.name for frame in looked.scene.frames) == names
-    assert tuple(frame.name for frame in looked.diagnosis.observations.frames) == names
-    assert looked.diagnosis.effects["blur"].note.startswith("blurred: 04.png"), "told of the whole scene"
+    assert tuple(frame.name for frame in result.scene.frames) == names
+    assert tuple(frame.name for frame in result.diagnosis.observations.frames) == names
+    assert result.diagnosis.effects["blur"].note.startswith("blurred: 04.png"), "told of the whole scene"
     assert ("left out: 04.png\n" in capsys.readouterr().err) == bool(expected)
 
 
@@ -105,5 +105,5 @@ def test_photos_that_are_all_blurred_are_named_and_sharp_ones_are_not(shared, na
         image = ndimage.gaussian_filter(frame.pixels().image, (2, 2, 0))
         return with_pixels(frame, frame.pixels()._replace(image=image))
 
-    found = diagnose(replace(scene, frames=tuple(map(soft, scene.frames)))).effects["blur"]
-    assert found.on and "all photos are blurred" in found.note
+    blur = diagnose(replace(scene, frames=tuple(map(soft, scene.frames)))).effects["blur"]
+    assert blur.on and "all photos are blurred" in blur.note

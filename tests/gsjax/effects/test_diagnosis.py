@@ -57,11 +57,11 @@ def test_a_clean_scene_calls_for_nothing():
 def test_gains_are_found_as_they_were_injected(exposure, balance):
     scene = wall()
     true = gains(scene, exposure, balance)
-    found = diagnose(relit(scene, lambda index, *_: true[index]))
-    assert found.effects["exposure"].on
-    assert not found.effects["vignetting"].on
-    np.testing.assert_allclose(found.gains.fit.gains, true, atol=0.02)
-    assert found.effects["exposure"].value == pytest.approx(true.mean(1).std(), abs=0.01)
+    diagnosis = diagnose(relit(scene, lambda index, *_: true[index]))
+    assert diagnosis.effects["exposure"].on
+    assert not diagnosis.effects["vignetting"].on
+    np.testing.assert_allclose(diagnosis.gains.fit.gains, true, atol=0.02)
+    assert diagnosis.effects["exposure"].value == pytest.approx(true.mean(1).std(), abs=0.01)
 
 
 def test_lamps_over_halves_of_a_scene_are_no_exposure():
@@ -72,19 +72,19 @@ def test_lamps_over_halves_of_a_scene_are_no_exposure():
     def lamps(index, frame, x, y):
         return np.where((x < middle(frame))[..., None], left[index], right[index])
 
-    found = diagnose(relit(scene, lamps)).effects["exposure"]
-    assert found.value > found.threshold
-    assert not found.on
+    exposure = diagnose(relit(scene, lamps)).effects["exposure"]
+    assert exposure.value > exposure.threshold
+    assert not exposure.on
 
 
 def test_the_fall_off_is_found_beside_gains():
     scene = wall()
     true = gains(scene, 0.3)
     dark = relit(scene, lambda index, frame, x, y: true[index] - 0.5 * radii2(frame, x, y))
-    found = diagnose(dark)
-    assert found.effects["vignetting"].on
-    assert found.effects["vignetting"].value == pytest.approx(0.5, abs=0.04)
-    assert found.effects["exposure"].on
+    diagnosis = diagnose(dark)
+    assert diagnosis.effects["vignetting"].on
+    assert diagnosis.effects["vignetting"].value == pytest.approx(0.5, abs=0.04)
+    assert diagnosis.effects["exposure"].on
     bright = relit(scene, lambda index, frame, x, y: 0.5 * radii2(frame, x, y))
     assert not diagnose(bright).effects["vignetting"].on  # No lens does that.
 
@@ -92,9 +92,9 @@ def test_the_fall_off_is_found_beside_gains():
 def test_a_fall_off_of_the_later_photos_alone_is_found_and_named():
     scene = wall(24)
     half = relit(scene, lambda index, frame, x, y: -0.6 * radii2(frame, x, y) * (index >= 12))
-    found = diagnose(half).effects["vignetting"]
-    assert found.on and found.value == pytest.approx(0.6, abs=0.06)
-    assert "changes over time: earlier photos" in found.note
+    vignetting = diagnose(half).effects["vignetting"]
+    assert vignetting.on and vignetting.value == pytest.approx(0.6, abs=0.06)
+    assert "changes over time: earlier photos" in vignetting.note
     for steady in (scene, relit(scene, lambda index, frame, x, y: -0.6 * radii2(frame, x, y))):
         assert "changes over time" not in diagnose(steady).effects["vignetting"].note
 
@@ -102,12 +102,12 @@ def test_a_fall_off_of_the_later_photos_alone_is_found_and_named():
 def test_the_robust_fit_is_the_least_squares_one_without_outliers():
     rng = np.random.default_rng(0)
     photo, point = (part.ravel() for part in np.meshgrid(np.arange(5), np.arange(30)))
-    kept = rng.random(len(photo)) < 0.8
-    photo, point = photo[kept], point[kept]
+    is_observed = rng.random(len(photo)) < 0.8
+    photo, point = photo[is_observed], point[is_observed]
     true = rng.normal(size=(5, 3))
     values = true[photo] + rng.normal(size=(30, 3))[point]
-    found = fit(table(values, photo, point, 5))
-    np.testing.assert_allclose(found.gains, true - true.mean(0), atol=1e-4)
+    solution = fit(table(values, photo, point, 5))
+    np.testing.assert_allclose(solution.gains, true - true.mean(0), atol=1e-4)
     values[::9] += 5.0
     np.testing.assert_allclose(fit(table(values, photo, point, 5)).gains, true - true.mean(0), atol=0.02)
 
@@ -116,17 +116,17 @@ def test_a_photo_that_few_tracks_tell_of_is_not_tinted():
     """Fifteen photos that many points tell of, one with five keypoints on a wall that shines red, and one with none."""
     rng = np.random.default_rng(0)
     photo, point = (part.ravel() for part in np.meshgrid(np.arange(16), np.arange(200)))
-    kept = (photo < 15) | (point < 5)
-    photo, point = photo[kept], point[kept]
+    is_observed = (photo < 15) | (point < 5)
+    photo, point = photo[is_observed], point[is_observed]
     exposure, balance = 0.3 * rng.normal(size=16), 0.02 * rng.normal(size=(16, 3))
     true = exposure[:, None] + balance
     values = true[photo] + rng.normal(size=(200, 3))[point] + 0.05 * rng.normal(size=(len(photo), 3))
     values[photo == 15] += [0.25, 0.0, 0.0]
-    found = fit(table(values, photo, point, 17)).gains
-    np.testing.assert_array_equal(found[16], 0)
-    assert np.ptp(found[15]) < 0.05, "tinted by what five keypoints say"
+    estimated_gains = fit(table(values, photo, point, 17)).gains
+    np.testing.assert_array_equal(estimated_gains[16], 0)
+    assert np.ptp(estimated_gains[15]) < 0.05, "tinted by what five keypoints say"
     true = true[:15] - true[:15].mean(0)
-    np.testing.assert_allclose(found[:15] - found[:15].mean(0), true, atol=0.02)
+    np.testing.assert_allclose(estimated_gains[:15] - estimated_gains[:15].mean(0), true, atol=0.02)
 
 
 def test_an_open_sky_is_seen_and_mattes_answer_it():
@@ -141,9 +141,9 @@ def test_an_open_sky_is_seen_and_mattes_answer_it():
         return Pixels(image)
 
     outdoors = replace(repainted(scene, sky), tracks=lambda: lower)
-    found = diagnose(outdoors).effects["background"]
-    assert found.on
-    assert "1.00, 1.00, 1.00, the same in all photos; pure white" in found.note
+    background = diagnose(outdoors).effects["background"]
+    assert background.on
+    assert "1.00, 1.00, 1.00, the same in all photos; pure white" in background.note
     flat = repainted(outdoors, lambda index, pixels: Pixels(np.where(pixels.image == 255, np.uint8(220), pixels.image)))
     assert not diagnose(flat).effects["background"].on, "plaster looks the same"
     matted = repainted(
@@ -162,25 +162,25 @@ def test_wrong_poses_show_against_the_tracks():
         return replace(frame, viewmat=(turn @ frame.viewmat).astype(np.float32))
 
     off = replace(scene, frames=tuple(turned(frame, 0.5) for frame in scene.frames))
-    found = diagnose(off)
-    assert found.effects["poses"].on
+    diagnosis = diagnose(off)
+    assert diagnosis.effects["poses"].on
     # Half a degree about x and y moves a picture by 0.5 deg * focal length; the median of a Rayleigh is 1.18 of it.
-    assert np.median([step.shift for step in found.steps]) == pytest.approx(1.18 * np.radians(0.5) * 80, rel=0.5)
+    assert np.median([step.shift for step in diagnosis.steps]) == pytest.approx(1.18 * np.radians(0.5) * 80, rel=0.5)
     assert diagnose(scene).effects["poses"].value < 0.01
     # What tracks ask of each camera brings it back: to second order in a turn of half a degree.
-    asked = twists_from_tracks(observe(off))
-    for frame, true, twist in zip(off.frames, scene.frames, asked, strict=True):
-        found = Move(tuple(twist[:3]), tuple(twist[3:]), 1.0).apply(frame).viewmat
-        assert np.abs(found - true.viewmat).max() < 0.05 * np.abs(frame.viewmat - true.viewmat).max()
+    twists = twists_from_tracks(observe(off))
+    for frame, true, twist in zip(off.frames, scene.frames, twists, strict=True):
+        viewmat = Move(tuple(twist[:3]), tuple(twist[3:]), 1.0).apply(frame).viewmat
+        assert np.abs(viewmat - true.viewmat).max() < 0.05 * np.abs(frame.viewmat - true.viewmat).max()
     assert np.abs(twists_from_tracks(observe(scene))).max() < 1e-5  # rounding of the keypoints
 
 
 def test_what_cannot_be_judged_says_so():
-    found = diagnose(replace(wall(), tracks=None)).effects
+    effects = diagnose(replace(wall(), tracks=None)).effects
     unknown = {"exposure", "vignetting", "background", "poses", "transients", "sky"}
-    assert {name for name, evidence in found.items() if evidence.value is None} == unknown
-    assert not any(found[name].on for name in unknown)
-    assert all("cannot be judged" in found[name].note for name in unknown)
+    assert {name for name, evidence in effects.items() if evidence.value is None} == unknown
+    assert not any(effects[name].on for name in unknown)
+    assert all("cannot be judged" in effects[name].note for name in unknown)
 
 
 def flat(value):
@@ -202,10 +202,10 @@ HARD = {
 
 @pytest.mark.parametrize("name", HARD)
 def test_hard_cases_give_finite_numbers_and_no_alarm(name):
-    found = diagnose(HARD[name](wall()))
-    assert json.dumps(found.record(), allow_nan=False)
+    diagnosis = diagnose(HARD[name](wall()))
+    assert json.dumps(diagnosis.record(), allow_nan=False)
     # One that differs from all others is blurred; all white and smooth is what a sky looks like.
-    assert {effect for effect, evidence in found.effects.items() if evidence.on} <= {"blur", "background"}
+    assert {effect for effect, evidence in diagnosis.effects.items() if evidence.on} <= {"blur", "background"}
 
 
 def test_points_seen_once_or_twice_say_nothing():
@@ -214,8 +214,8 @@ def test_points_seen_once_or_twice_say_nothing():
     _, first, counts = np.unique(tracks.point, return_index=True, return_counts=True)
     once = replace(tracks, photo=tracks.photo[first], point=tracks.point[first], rays=tracks.rays[first])
     assert counts.max() > 2
-    seen = observe(replace(scene, tracks=lambda: once))
-    assert estimate(seen) is None
+    observations = observe(replace(scene, tracks=lambda: once))
+    assert estimate(observations) is None
     assert diagnose(replace(scene, tracks=lambda: once)).effects["exposure"].value is None
 
 
@@ -228,10 +228,10 @@ def scene_folder(tmp_path_factory):
 def test_the_built_in_scene_gives_back_what_was_injected(scene_folder, exposure, corner):
     scene = load_scene(scene_folder)
     true = gains(scene, exposure, exposure / 3)
-    found = diagnose(relit(scene, lambda index, frame, x, y: true[index] + corner * radii2(frame, x, y)))
-    assert found.effects["exposure"].on == (exposure > 0)
-    assert found.effects["vignetting"].on == (corner < 0)
-    error = found.gains.fit.gains - true
+    diagnosis = diagnose(relit(scene, lambda index, frame, x, y: true[index] + corner * radii2(frame, x, y)))
+    assert diagnosis.effects["exposure"].on == (exposure > 0)
+    assert diagnosis.effects["vignetting"].on == (corner < 0)
+    error = diagnosis.gains.fit.gains - true
     # Photos of 96 pixels: 0.03 EV come of edges that the window mixes and of the noise of the points.
     assert np.sqrt(np.square(error - error.mean(0)).mean()) < 0.06
 
@@ -246,12 +246,12 @@ def test_the_built_in_scene_gives_back_what_was_injected(scene_folder, exposure,
     ],
 )
 def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetting):
-    found = diagnose(load_scene(shared / "data" / name)).effects
-    assert found["exposure"].value == pytest.approx(exposure, abs=0.05)
-    assert found["exposure"].on == (exposure > 0.1)
-    assert found["vignetting"].on == vignetting
-    assert "changes over time" not in found["vignetting"].note
-    assert not found["sky"].on
+    effects = diagnose(load_scene(shared / "data" / name)).effects
+    assert effects["exposure"].value == pytest.approx(exposure, abs=0.05)
+    assert effects["exposure"].on == (exposure > 0.1)
+    assert effects["vignetting"].on == vignetting
+    assert "changes over time" not in effects["vignetting"].note
+    assert not effects["sky"].on
 
 
 def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder, tmp_path, capsys):
@@ -259,10 +259,10 @@ def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder,
     assert cli.main(["diagnose", str(scene_folder), "--json", str(target)]) == 0
     *printed, empty, apart = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in printed] == ["effect", *EFFECTS] and not empty
-    written = json.loads(target.read_text())
-    assert apart == apart_line(written["apart"])
-    assert list(written["effects"]) == list(EFFECTS)
-    assert len(written["photos"]) == 12
+    record = json.loads(target.read_text())
+    assert apart == apart_line(record["apart"])
+    assert list(record["effects"]) == list(EFFECTS)
+    assert len(record["photos"]) == 12
     assert read_image(target.with_suffix(".png"))[0].std() > 10
     assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2
     assert "must end in .json" in capsys.readouterr().err
@@ -283,6 +283,6 @@ def test_maps_of_normals_are_judged_by_whether_photos_agree(scene_folder, tmp_pa
     assert cli.main(["diagnose", str(copied), "--json", str(tmp_path / "found.json")]) == 0
     rows = [line.split()[:2] for line in capsys.readouterr().out.splitlines()[-3:]]
     assert rows == [["normals", "decision"], ["normals_facing", "rejected"], ["normals_true", "kept"]]
-    found = json.loads((tmp_path / "found.json").read_text())["normals"]
-    assert found["normals_true"]["share"] > 0.95 and found["normals_facing"]["share"] == 0
-    assert all(photo["kept"] > 0.8 for photo in found["normals_true"]["photos"].values())
+    verdicts = json.loads((tmp_path / "found.json").read_text())["normals"]
+    assert verdicts["normals_true"]["share"] > 0.95 and verdicts["normals_facing"]["share"] == 0
+    assert all(photo["kept"] > 0.8 for photo in verdicts["normals_true"]["photos"].values())

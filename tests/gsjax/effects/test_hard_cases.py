@@ -41,10 +41,10 @@ def flat(value):
     return lambda index, pixels: Pixels(np.full_like(pixels.image, value))
 
 
-def only(scene, chosen):
+def only(scene, rows):
     tracks = scene.tracks()
-    kept = replace(tracks, photo=tracks.photo[chosen], point=tracks.point[chosen], rays=tracks.rays[chosen])
-    return replace(scene, tracks=lambda: kept)
+    subset = replace(tracks, photo=tracks.photo[rows], point=tracks.point[rows], rays=tracks.rays[rows])
+    return replace(scene, tracks=lambda: subset)
 
 
 def one_point_each(scene):

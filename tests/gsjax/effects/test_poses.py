@@ -125,13 +125,15 @@ def test_numbers_at_the_gauge_move_no_camera_and_get_no_gradient():
     rng = np.random.default_rng(0)
     numbers = jax.tree.map(lambda leaf: jnp.asarray(0.01 * rng.normal(size=leaf.shape), jnp.float32), EFFECT.initial)
 
-    def shown(numbers):
+    def objective(numbers):
         camera = camera_of(numbers, CAMERA, jnp.int32(3))
         return jnp.sum(camera.viewmat[:3] * jnp.arange(12.0, dtype=jnp.float32).reshape(3, 4))
 
     with_world = numbers | {"twists": numbers["twists"] + (fixed @ np.float32(rng.normal(size=7))).reshape(5, 6)}
-    assert_close(shown(with_world), shown(numbers), rtol=0, atol=1e-4, why="what cancels is a hundred times larger")
-    slopes = np.asarray(jax.jit(jax.grad(shown))(with_world)["twists"]).reshape(-1)
+    assert_close(
+        objective(with_world), objective(numbers), rtol=0, atol=1e-4, why="what cancels is a hundred times larger"
+    )
+    slopes = np.asarray(jax.jit(jax.grad(objective))(with_world)["twists"]).reshape(-1)
     assert np.abs(slopes).max() > 1
     np.testing.assert_allclose(fixed.T @ slopes, 0, atol=1e-4)
 
@@ -149,11 +151,11 @@ def test_held_out_photos_keep_their_pose_and_share_their_cameras_focal_length():
     centers, whose = np.insert(CENTERS, 1, [9.0, 9.0, 9.0], axis=0), np.array([0, 0, 0, 1, 1, 1])
     rng = np.random.default_rng(0)
     numbers = {"twists": jnp.asarray(0.01 * rng.normal(size=(5, 6)), jnp.float32), "log_focals": jnp.array([0.1, -0.1])}
-    found = poses.moves(numbers, centers, 2.0, trained, whose)
-    assert found[1] == Move((0, 0, 0), (0, 0, 0), pytest.approx(np.exp(0.1), rel=1e-6))
+    moves = poses.moves(numbers, centers, 2.0, trained, whose)
+    assert moves[1] == Move((0, 0, 0), (0, 0, 0), pytest.approx(np.exp(0.1), rel=1e-6))
     (frame,) = photographed(cloud(20), [CAMERA])
     same = camera_of(numbers, CAMERA, jnp.int32(2))  # The fourth photo is the third that is trained on.
-    refined = found[3].apply(frame)
+    refined = moves[3].apply(frame)
     assert_close(refined.viewmat, np.asarray(same.viewmat))
     assert_close(refined.K, np.asarray(same.K))
 
@@ -176,8 +178,8 @@ def test_a_photo_is_aligned_with_gaussians_as_they_are(draw, degrees):
     (picture,) = draw([CAMERA])
     turn, shift = np.array([0.6, -0.8, 0.3]), np.array([-0.5, 0.2, 0.4])
     wrong = apply_twist(CAMERA, jnp.asarray(np.float32(np.radians(degrees) * np.append(turn, shift))), 4.0)
-    found = align(wrong, picture.colors, np.ones((24, 32), bool), draw)
-    right, before, after = (corners(camera) for camera in (CAMERA, wrong, found))
+    estimate = align(wrong, picture.colors, np.ones((24, 32), bool), draw)
+    right, before, after = (corners(camera) for camera in (CAMERA, wrong, estimate))
     assert np.abs(after - right).mean() < 0.05 * np.abs(before - right).mean()
 
 
@@ -188,5 +190,5 @@ def test_nothing_to_align_with_leaves_the_pose(draw):
     assert align(away, picture.colors, np.ones((24, 32), bool), draw) is away
     # Nothing explains it, and no move may make it worse.
     inverted = 1 - picture.colors
-    (shown,) = draw([align(CAMERA, inverted, np.ones((24, 32), bool), draw)])
-    assert np.square(shown.colors - inverted).mean() <= np.square(picture.colors - inverted).mean()
+    (aligned_picture,) = draw([align(CAMERA, inverted, np.ones((24, 32), bool), draw)])
+    assert np.square(aligned_picture.colors - inverted).mean() <= np.square(picture.colors - inverted).mean()

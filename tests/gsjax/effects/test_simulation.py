@@ -36,13 +36,13 @@ def view(seed=0):
 
 
 def test_a_photo_is_the_light_times_its_gains_and_the_fall_off():
-    seen, black = view(), jnp.zeros(3, jnp.float32)
-    shown = photograph(EFFECTS, NUMBERS, seen, batch(), black).colors
+    rendered_view, black = view(), jnp.zeros(3, jnp.float32)
+    colors = photograph(EFFECTS, NUMBERS, rendered_view, batch(), black).colors
     K = np.asarray(CAMERA.K)
     x, y = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
     tangent2 = ((x - K[0, 2]) / K[0, 0]) ** 2 + ((y - K[1, 2]) / K[1, 1]) ** 2
     factor = np.exp((-0.5 * tangent2 + 0.1 * tangent2**2)[..., None] + (GAINS - GAINS.mean(0))[1])
-    assert_close(shown, np.asarray(seen.colors) * factor)
+    assert_close(colors, np.asarray(rendered_view.colors) * factor)
     look = Appearance(tuple((GAINS - GAINS.mean(0))[1].tolist()), (-0.5, 0.1))
     frame = frame_of("0.png", np.asarray(CAMERA.viewmat), K, Pixels(np.full((24, 32, 3), 100, np.uint8)))
     assert_close(look.factor(frame), factor.astype(np.float32))
@@ -53,10 +53,10 @@ def test_a_photo_is_the_light_times_its_gains_and_the_fall_off():
 
 def test_a_background_that_mattes_put_there_was_in_front_of_no_camera():
     white = jnp.ones(3, jnp.float32)
-    seen = view()._replace(colors=jnp.ones((24, 32, 3), jnp.float32), alphas=jnp.zeros((24, 32), jnp.float32))
+    rendered_view = view()._replace(colors=jnp.ones((24, 32, 3), jnp.float32), alphas=jnp.zeros((24, 32), jnp.float32))
     matte = jnp.zeros((24, 32), jnp.float32)
-    assert_close(photograph(EFFECTS, NUMBERS, seen, batch(matte=matte), white).colors, seen.colors)
-    assert not np.allclose(photograph(EFFECTS, NUMBERS, seen, batch(), white).colors, seen.colors)
+    assert_close(photograph(EFFECTS, NUMBERS, rendered_view, batch(matte=matte), white).colors, rendered_view.colors)
+    assert not np.allclose(photograph(EFFECTS, NUMBERS, rendered_view, batch(), white).colors, rendered_view.colors)
 
 
 def test_a_white_pixel_bounds_the_light_from_below_only():
@@ -64,21 +64,21 @@ def test_a_white_pixel_bounds_the_light_from_below_only():
     gains = {"exposure": EFFECTS["exposure"]}
     colors = np.full((24, 32, 3), 0.9, np.float32)
     colors[0, 0] = 1.3  # already wrong without effects
-    seen = view()._replace(colors=jnp.asarray(colors))
+    rendered_view = view()._replace(colors=jnp.asarray(colors))
     photo = np.ones((24, 32, 3), np.float32)
     photo[12:] = 0.9
     white = batch()
     white = Batch(white.camera, jnp.asarray(photo), white.valid, None, None, white.photo)
 
-    def shown(numbers):
-        return photograph(gains, {"exposure": numbers}, seen, white, jnp.zeros(3, jnp.float32)).colors
+    def photo_colors(numbers):
+        return photograph(gains, {"exposure": numbers}, rendered_view, white, jnp.zeros(3, jnp.float32)).colors
 
     factor = np.exp((GAINS - GAINS.mean(0))[1])
     expected = colors * factor
     expected[:12, :, 1] = 1.0
     expected[0, 0, 1] = 1.3
-    assert_close(shown(NUMBERS["exposure"]), expected)
-    slopes = jax.grad(lambda numbers: jnp.sum(shown(numbers)[:12]))(NUMBERS["exposure"])
+    assert_close(photo_colors(NUMBERS["exposure"]), expected)
+    slopes = jax.grad(lambda numbers: jnp.sum(photo_colors(numbers)[:12]))(NUMBERS["exposure"])
     assert np.abs(slopes[:, [0, 2]]).min() > 1 and not np.any(slopes[:, 1])
 
 
@@ -97,9 +97,9 @@ def test_what_all_photos_share_is_no_gain():
 @pytest.mark.parametrize("size", [1e2, 1e10, 1e30])
 def test_numbers_beyond_their_bounds_give_finite_values_and_gradients(size):
     numbers = jax.tree.map(lambda leaf: leaf * jnp.float32(size), NUMBERS)
-    shown = photograph(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors
-    assert np.isfinite(shown).all()
-    assert np.max(shown) <= np.exp(2 * LIMIT)
+    colors = photograph(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors
+    assert np.isfinite(colors).all()
+    assert np.max(colors) <= np.exp(2 * LIMIT)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(jax.grad(brightness)(numbers)))
 
 

@@ -92,24 +92,24 @@ def yard(tmp_path, *, lawn=60.0, plain=False, angles=ANGLES, lifted=0.0):
     return Scene(tmp_path, "colmap", tuple(frames), points, np.zeros((1200, 3), np.uint8), tracks=lambda: tracks), truth
 
 
-def agreement(found, truth):
-    return (found & truth).sum() / (found | truth).sum()
+def agreement(mask, truth):
+    return (mask & truth).sum() / (mask | truth).sum()
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def sky_scene(tmp_path_factory):
     scene, truth = yard(tmp_path_factory.mktemp("yard"))
     return scene, truth, sky.find(observe(scene))
 
 
-def test_the_sky_is_found_to_its_outline_and_nothing_else(made):
-    scene, truth, found = made
-    assert found.keys() == truth.keys()
-    for name, mask in found.items():
+def test_the_sky_is_found_to_its_outline_and_nothing_else(sky_scene):
+    scene, truth, masks = sky_scene
+    assert masks.keys() == truth.keys()
+    for name, mask in masks.items():
         assert agreement(mask, truth[name]) > 0.9
         assert not (mask & ~truth[name]).any()
     evidence = diagnose(scene).effects["sky"]
-    share = np.mean([mask.mean() for mask in found.values()])
+    share = np.mean([mask.mean() for mask in masks.values()])
     assert evidence.on and evidence.note.split(";")[0] == f"sky in 7 of 7 photos, {100 * share:.0f} % of their pixels"
 
 
@@ -119,35 +119,35 @@ def test_a_backdrop_that_goes_on_below_the_horizon_is_no_sky(tmp_path):
     assert not sky.find(observe(scene))
 
 
-def test_an_even_wall_before_which_points_were_matched_is_no_sky(made):
-    scene, truth, _ = made
+def test_an_even_wall_before_which_points_were_matched_is_no_sky(sky_scene):
+    scene, truth, _ = sky_scene
     beside = np.random.default_rng(1).normal(size=(3000, 3)) * np.array([3, 3, 1.5]) + np.array([0, 0, 7])
     behind = replace(scene, points=np.concatenate([scene.points, beside.astype(np.float32)]))
     assert not sky.find(observe(behind))
 
 
-def test_a_photo_of_nothing_but_sky_is_all_sky_where_others_tell(tmp_path, made):
-    scene, _, _ = made
+def test_a_photo_of_nothing_but_sky_is_all_sky_where_others_tell(tmp_path, sky_scene):
+    scene, _, _ = sky_scene
     up = camera_at((7, 0, 1.6), (-3, 0, 9))
     image, truth = seen_by(up, 60.0, False)
     assert truth.all()
     frame = frame_of("up.png", np.asarray(up.viewmat), np.asarray(up.K), Pixels(image))
-    found = sky.find(observe(replace(scene, frames=(*scene.frames, frame))))
-    assert found["up.png"].mean() > 0.8
+    masks = sky.find(observe(replace(scene, frames=(*scene.frames, frame))))
+    assert masks["up.png"].mean() > 0.8
 
 
-def test_one_photo_no_points_and_mattes_tell_of_none(made):
-    scene, _, _ = made
+def test_one_photo_no_points_and_mattes_tell_of_none(sky_scene):
+    scene, _, _ = sky_scene
     assert not sky.find(observe(replace(scene, frames=scene.frames[:1])))
     assert not sky.find(observe(replace(scene, points=scene.points[:0], tracks=None)))
     matte = np.full(SIZE[::-1], 255, np.uint8)
     cut_out = tuple(with_pixels(frame, frame.pixels()._replace(matte=matte)) for frame in scene.frames)
-    seen = observe(replace(scene, frames=cut_out))
-    assert not sky.find(seen) and not sky.judge_masks(seen, {}).on
+    observations = observe(replace(scene, frames=cut_out))
+    assert not sky.find(observations) and not sky.judge_masks(observations, {}).on
 
 
-def test_what_is_masked_is_no_sky(made):
-    scene, truth, found = made
+def test_what_is_masked_is_no_sky(sky_scene):
+    scene, truth, masks = sky_scene
     left = np.full(SIZE[::-1], 255, np.uint8)
     left[:, : SIZE[0] // 3] = 0
     masked = tuple(with_pixels(frame, frame.pixels()._replace(valid=left)) for frame in scene.frames)
@@ -167,26 +167,26 @@ def test_up_is_found_by_cameras_that_look_up_one_way(tmp_path):
     )
 
 
-def test_only_what_hangs_in_the_air_lies_in_the_sky(made):
-    scene, _, found = made
+def test_only_what_hangs_in_the_air_lies_in_the_sky(sky_scene):
+    scene, _, masks = sky_scene
     rng = np.random.default_rng(2)
     above = np.concatenate([rng.uniform(-2, 2, (50, 2)), rng.uniform(3.5, 4, (50, 1))], 1)
-    assert sky.lies_in(above, scene.frames, found).all()
-    assert not sky.lies_in(scene.points, scene.frames, found).any()
+    assert sky.lies_in(above, scene.frames, masks).all()
+    assert not sky.lies_in(scene.points, scene.frames, masks).any()
     elsewhere = np.array([[np.nan, 0, 4], [0, 0, -500.0], [1e9, 1e9, -1e9]])
-    assert not sky.lies_in(elsewhere, scene.frames, found).any()
+    assert not sky.lies_in(elsewhere, scene.frames, masks).any()
     assert not sky.lies_in(above, scene.frames, {}).any()
     one_wrong = {"0.png": np.ones(SIZE[::-1], bool)}
     assert not sky.lies_in(scene.points, scene.frames, one_wrong).any()
 
 
-def test_the_background_begins_with_the_colours_of_the_sky(made):
-    scene, truth, found = made
-    coefficients = background.initial(observe(scene), found)
+def test_the_background_begins_with_the_colours_of_the_sky(sky_scene):
+    scene, truth, masks = sky_scene
+    coefficients = background.initial(observe(scene), masks)
     camera = camera_at((7, 0, 1.6), (0, 0, 1.8))
-    shown = np.asarray(backdrop.color_behind(coefficients, camera))
+    sky_colors = np.asarray(backdrop.color_behind(coefficients, camera))
     image = scene.frames[0].pixels().image / 255
-    assert np.abs(shown - image)[truth["0.png"]].mean() < 0.03  # its clouds are no harmonics
+    assert np.abs(sky_colors - image)[truth["0.png"]].mean() < 0.03  # its clouds are no harmonics
 
 
 def test_harmonics_are_fitted_exactly_where_colours_are_harmonics():
@@ -195,19 +195,21 @@ def test_harmonics_are_fitted_exactly_where_colours_are_harmonics():
     camera = camera_at((0, 0, 0), (1, 0, 0))
     _, rays = rays_of(camera)
     colors = np.asarray(backdrop.color_behind(expected, camera))
-    found = backdrop.fitted_coefficients(rays.reshape(-1, 3), colors.reshape(-1, 3), 2, ridge=1e-9)
-    assert_close(np.asarray(backdrop.color_behind(found, camera)), colors, atol=1e-3, rtol=0, why="a nearly flat ridge")
+    coefficients = backdrop.fitted_coefficients(rays.reshape(-1, 3), colors.reshape(-1, 3), 2, ridge=1e-9)
+    assert_close(
+        np.asarray(backdrop.color_behind(coefficients, camera)), colors, atol=1e-3, rtol=0, why="a nearly flat ridge"
+    )
 
 
-def test_a_smaller_pixel_is_sky_where_all_of_it_is(made):
-    scene, _, _ = made
+def test_a_smaller_pixel_is_sky_where_all_of_it_is(sky_scene):
+    scene, _, _ = sky_scene
     mask = np.zeros(SIZE[::-1], bool)
     mask[:7, :5] = True
     views = with_skies(read_batches(scene.frames[:2], scale=2), [mask, None], 2)
     expected = np.zeros((36, 48), bool)
     expected[:3, :2] = True
-    shown, bare = (target.sky for target in views.views)
-    np.testing.assert_array_equal(shown, expected)
+    sky_mask, bare = (target.sky for target in views.views)
+    np.testing.assert_array_equal(sky_mask, expected)
     assert bare is not None and not bare.any()
     assert decode(read_batches(scene.frames[:1]).views[0], np.zeros(3, np.float32)).sky is None
 
@@ -253,26 +255,26 @@ def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
         read_sky_masks(load_scene(on_disk), folder, None, 1.0)
 
 
-def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
-    scene, truth, found = made
+def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(sky_scene):
+    scene, truth, masks = sky_scene
     settings = Settings(effects=EffectChoice(names="auto"), model=Model(far_points=200, max_gaussians=4000))
-    chosen = choose_effects("auto", plan(settings), scene, with_sky=True)
-    assert chosen.names == ("background", "sky") and chosen.skies.keys() == found.keys()
-    assert chosen.evidence is not None and chosen.evidence["simulated"] == ["background", "sky"]
+    choice = choose_effects("auto", plan(settings), scene, with_sky=True)
+    assert choice.names == ("background", "sky") and choice.skies.keys() == masks.keys()
+    assert choice.evidence is not None and choice.evidence["simulated"] == ["background", "sky"]
     optimizer = make_optimizer(Rates(), 1.0, 100)
     state = first_state(
-        scene, settings.model, DENSIFICATION_RULES["adc"], optimizer, chosen.effects, skies=chosen.skies
+        scene, settings.model, DENSIFICATION_RULES["adc"], optimizer, choice.effects, skies=choice.skies
     )
     means = np.asarray(state.gaussians.means)[np.asarray(is_alive(state.gaussians))]
     assert len(scene.points) < len(means) < len(scene.points) + 200
-    assert not sky.lies_in(means, scene.frames, found).any()
-    given = choose_effects("none", plan(settings), scene, skies={"3.png": truth["3.png"]})
-    assert given.names == ("background", "sky") and list(given.skies) == ["3.png"]
+    assert not sky.lies_in(means, scene.frames, masks).any()
+    mask_choice = choose_effects("none", plan(settings), scene, skies={"3.png": truth["3.png"]})
+    assert mask_choice.names == ("background", "sky") and list(mask_choice.skies) == ["3.png"]
     assert choose_effects("none", plan(settings), scene).names == ()
     assert choose_effects("auto", plan(settings), scene).names == (), "not validated"
-    for gain, names in ((1.0, chosen.names), (-1.0, ())):
+    for gain, names in ((1.0, choice.names), (-1.0, ())):
         validated = {"sky": Validated(gain, 0.1)}
-        assert choose_effects("auto", plan(settings), scene, lambda *_, found=validated: found).names == names
+        assert choose_effects("auto", plan(settings), scene, lambda *_, verdict=validated: verdict).names == names
     assert choose_effects("exposure", plan(settings), scene).names == ("exposure",)
 
 
@@ -282,11 +284,11 @@ def test_a_sky_that_is_asked_for_and_is_not_there_is_one_line(tmp_path):
         choose_effects("none", plan(Settings()), scene, with_sky=True)
 
 
-def test_no_surface_is_looked_for_in_the_sky_of_a_run(made, tmp_path):
-    scene, _, found = made
+def test_no_surface_is_looked_for_in_the_sky_of_a_run(sky_scene, tmp_path):
+    scene, _, masks = sky_scene
     held_out = replace(scene.frames[0], held_out=True)
-    write_views(tmp_path / "run", (held_out, *scene.frames[1:]), found)
+    write_views(tmp_path / "run", (held_out, *scene.frames[1:]), masks)
     records = read_views(tmp_path / "run")
     assert records[0]["mask"] is None
     for record in records[1:]:
-        np.testing.assert_array_equal(read_mask(tmp_path / "run" / record["mask"]) == 0, found[record["name"]])
+        np.testing.assert_array_equal(read_mask(tmp_path / "run" / record["mask"]) == 0, masks[record["name"]])

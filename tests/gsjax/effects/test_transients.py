@@ -39,19 +39,23 @@ def test_a_square_is_left_out_and_single_pixels_stay():
     photo = grey()
     photo[6:14, 8:18] = 0.9
     photo[20, 3], photo[0, 0], photo[23, 31] = 0.0, 1.0, 1.0
-    shown = np.asarray(transients.trusted_pixels(np.float32(np.log(0.05)), jnp.asarray(grey()), jnp.asarray(photo)))
+    is_trusted = np.asarray(
+        transients.trusted_pixels(np.float32(np.log(0.05)), jnp.asarray(grey()), jnp.asarray(photo))
+    )
     square = np.zeros((24, 32), bool)
     square[6:14, 8:18] = True
     # Its four corners, of whose windows it fills 9 of 25, are kept; what is beside it never goes.
-    assert not shown[7:13, 9:17].any()
-    assert shown[~square].all()
-    assert (~shown).sum() == square.sum() - 4 * 3
+    assert not is_trusted[7:13, 9:17].any()
+    assert is_trusted[~square].all()
+    assert (~is_trusted).sum() == square.sum() - 4 * 3
     assert transients.trusted_pixels(np.float32(np.log(0.2)), jnp.asarray(grey()), jnp.asarray(photo)).all()
 
 
 def test_at_the_start_everything_is_trusted():
-    shown = transients.trusted_pixels(EFFECTS["transients"].initial, jnp.asarray(grey(0.0)), jnp.asarray(grey(1.0)))
-    assert shown.all()
+    is_trusted = transients.trusted_pixels(
+        EFFECTS["transients"].initial, jnp.asarray(grey(0.0)), jnp.asarray(grey(1.0))
+    )
+    assert is_trusted.all()
 
 
 def test_the_gradient_leads_to_the_quantile_and_the_value_is_zero():
@@ -77,8 +81,8 @@ def test_the_gradient_leads_to_the_quantile_and_the_value_is_zero():
     state = effects_state(EFFECTS)
     for _ in range(300):
         state = step(state)
-    found = np.exp(state.numbers["transients"])
-    assert found == pytest.approx(np.quantile(off, transients.QUANTILE), rel=0.1)
+    threshold = np.exp(state.numbers["transients"])
+    assert threshold == pytest.approx(np.quantile(off, transients.QUANTILE), rel=0.1)
 
 
 def test_masks_of_the_user_come_first():
@@ -99,10 +103,10 @@ def test_hard_cases_in_value_and_gradient(number, photo, is_valid):
     """Black and saturated photos, photos without a valid pixel, renders far beyond white, a quantile at either end."""
     colors = grey(0.5)
     colors[0, 0] = [1e30, -1e30, 0.5]
-    seen = batch(grey(photo), np.full((24, 32), is_valid))
+    target = batch(grey(photo), np.full((24, 32), is_valid))
 
     def added(number, colors):
-        return mask_untrusted(EFFECTS, {"transients": number}, view(colors), seen)[1]
+        return mask_untrusted(EFFECTS, {"transients": number}, view(colors), target)[1]
 
     value, slopes = jax.value_and_grad(added, (0, 1))(jnp.float32(number), jnp.asarray(colors))
     assert value == 0

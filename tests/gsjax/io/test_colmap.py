@@ -20,9 +20,9 @@ def mean_reprojection_error(scene, model_folder) -> float:
     errors = []
     for image in model.images.values():
         frame = frames[image.name]
-        seen = [p for p in image.points2D if p.has_point3D()]
-        world = np.array([model.points3D[p.point3D_id].xyz for p in seen])
-        rays = np.asarray(image.camera.cam_from_img(np.array([p.xy for p in seen])))
+        observations = [p for p in image.points2D if p.has_point3D()]
+        world = np.array([model.points3D[p.point3D_id].xyz for p in observations])
+        rays = np.asarray(image.camera.cam_from_img(np.array([p.xy for p in observations])))
         observed = rays * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
         in_camera = world @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]
         projected = in_camera[:, :2] / in_camera[:, 2:] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
@@ -124,8 +124,8 @@ def test_a_model_without_points_starts_from_random_ones_in_view_and_says_so(colm
         (root / "sparse/0/points3D.bin").unlink()
     points = load_scene(root).points
     assert len(points) == 30_000 and points[:, 2].mean() > 0.1  # the cameras look along +z
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and str(root / "sparse/0") in said and "random" in said
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and str(root / "sparse/0") in message and "random" in message
     assert load_scene(root).tracks is None
 
 
@@ -146,8 +146,8 @@ def test_of_several_models_the_largest_is_taken_and_told(colmap_scene, capsys):
     (root / "sparse/0").mkdir()
     small.write_binary(root / "sparse/0")
     assert len(load_scene(root).frames) == 4
-    said = capsys.readouterr().err
-    assert said == f"COLMAP: {root / 'sparse/1'} with 4 photos is taken; there are also sparse/0 with 2\n"
+    message = capsys.readouterr().err
+    assert message == f"COLMAP: {root / 'sparse/1'} with 4 photos is taken; there are also sparse/0 with 2\n"
     pycolmap.Reconstruction(large).write_text(large)
     for file in large.glob("*.bin"):
         file.unlink()

@@ -13,23 +13,23 @@ from gsjax.io.colmap_writer import write_whole
 class OnAFullDisk:
     """A model whose writer loses the end of one file and says nothing, as pycolmap's does."""
 
-    def __init__(self, model, name, kept):
-        self.model, self.name, self.kept = model, name, kept
+    def __init__(self, model, name, share):
+        self.model, self.name, self.share = model, name, share
 
     def __getattr__(self, name):
         return getattr(self.model, name)
 
     def write_binary(self, folder):
         self.model.write_binary(folder)
-        os.truncate(folder / self.name, int(self.kept * (folder / self.name).stat().st_size))
+        os.truncate(folder / self.name, int(self.share * (folder / self.name).stat().st_size))
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"])
-@pytest.mark.parametrize("kept", [0.0, 0.5, 0.99])
-def test_a_model_that_was_cut_by_a_full_disk_is_told(colmap_scene, tmp_path, name, kept):
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_model_that_was_cut_by_a_full_disk_is_told(colmap_scene, tmp_path, name, share):
     model = pycolmap.Reconstruction(colmap_scene() / "sparse/0")
     with pytest.raises(InputError, match="cannot write .*out: the model did not come whole onto the disk, which has"):
-        write_whole(OnAFullDisk(model, name, kept), tmp_path / "out")
+        write_whole(OnAFullDisk(model, name, share), tmp_path / "out")
     write_whole(model, tmp_path / "out")
     assert len(read_model(tmp_path / "out").images) == 10
 

@@ -82,8 +82,8 @@ def test_alpha_and_palettes_are_converted_too(tmp_path):
     colors = encoded(lively(8), "adobe")
     alpha = np.arange(64, dtype=np.uint8).reshape(8, 8)
     Image.fromarray(np.dstack([colors, alpha])).save(tmp_path / "rgba.png", icc_profile=profile("adobe"))
-    found, matte = read_image(tmp_path / "rgba.png")
-    assert psnr(found, lively(8)) > 46 and np.array_equal(matte, alpha)
+    pixels, matte = read_image(tmp_path / "rgba.png")
+    assert psnr(pixels, lively(8)) > 46 and np.array_equal(matte, alpha)
     Image.fromarray(colors).quantize(64).save(tmp_path / "p.png", icc_profile=profile("adobe"))
     Image.fromarray(colors).quantize(64).convert("RGB").save(tmp_path / "rgb.png", icc_profile=profile("adobe"))
     assert np.array_equal(read_image(tmp_path / "p.png")[0], read_image(tmp_path / "rgb.png")[0])
@@ -113,8 +113,8 @@ def test_a_profile_that_cannot_be_used_is_one_line_and_the_colours_are_srgb(tmp_
     for name in ("a.png", "b.png"):
         Image.fromarray(colors).save(tmp_path / name, icc_profile=broken)
         assert np.array_equal(read_image(tmp_path / name)[0], colors)
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and f"{tmp_path / 'a.png'}: its colour profile cannot be used" in told
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and f"{tmp_path / 'a.png'}: its colour profile cannot be used" in message
 
 
 @pytest.mark.parametrize(("tag", "adobe"), [("R03", True), ("R98", False), ("space", True), ("other", False)])
@@ -142,8 +142,8 @@ def test_photos_of_high_dynamic_range_are_named_with_their_transfer_function(tmp
     how = {"color_primaries": 9, "transfer_characteristics": transfer, "matrix_coefficients": 9}
     heif.from_pillow(Image.new("RGB", (64, 64), (90, 90, 90))).save(tmp_path / "a.heic", quality=100, **how)
     assert np.abs(read_image(tmp_path / "a.heic")[0].astype(int) - 90).max() <= 3
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and f"a.heic: is coded for high dynamic range ({name})" in told
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and f"a.heic: is coded for high dynamic range ({name})" in message
 
 
 def test_avif_states_its_code_points_in_its_file(tmp_path):

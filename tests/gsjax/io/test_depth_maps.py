@@ -130,5 +130,5 @@ def test_one_map_that_cannot_serve_is_left_out_and_named(tmp_path, fault, capfd)
     write_png(tmp_path / "depth/b.png", RAMP)
     faulty(tmp_path, fault)
     assert list(opened(tmp_path).read) == ["b.jpg"]
-    told = capfd.readouterr().err
-    assert told.count("\n") == 1 and "; 1 of 2 depth maps is left out" in told
+    message = capfd.readouterr().err
+    assert message.count("\n") == 1 and "; 1 of 2 depth maps is left out" in message

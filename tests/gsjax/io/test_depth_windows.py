@@ -52,14 +52,14 @@ def test_of_a_map_of_another_shape_the_middle_shows_the_photo(tmp_path, size, ph
     small = frame(photo[0] // 2, photo[1] // 2, 0.8 * (photo[0] // 2))
     window, note = window_of(tmp_path / "a.png", size, small, None)
     assert note.startswith(f"of maps of {size[0]}x{size[1]} the middle {part[0]}x")
-    found, trust = on_grid(whole(depth), small, 1, window)
+    photo_depth, trust = on_grid(whole(depth), small, 1, window)
     K = small.K.astype(float)
     expected = plane_depth(*rays(small.width, small.height, K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-    is_measured = found > 0
+    is_measured = photo_depth > 0
     np.testing.assert_array_equal(trust, 255 * is_measured)
-    assert is_measured.sum() >= 0.95 * min(found.size, part[0] * part[1]), "all of the photo is covered"
+    assert is_measured.sum() >= 0.95 * min(photo_depth.size, part[0] * part[1]), "all of the photo is covered"
     # A value is at most half a pixel, of the map or of the frame, away from the ray that it was measured on.
-    assert np.abs(found - expected)[is_measured].max() < (0.9 + 0.5) * 0.5 / min(focal, K[0, 0]) + 1e-3
+    assert np.abs(photo_depth - expected)[is_measured].max() < (0.9 + 0.5) * 0.5 / min(focal, K[0, 0]) + 1e-3
 
 
 def test_intrinsics_place_a_map_where_its_camera_looked(tmp_path):
@@ -74,13 +74,13 @@ def test_intrinsics_place_a_map_where_its_camera_looked(tmp_path):
     (np_depth / "depth.json").write_text(json.dumps({"unit": "m", "intrinsics": K}))
     maps = open_depth_maps(tmp_path, "depth", None, (photo,))
     assert maps.note == "maps of 70x64 are read with their own intrinsics"
-    found, _ = maps.at(photo, 1)
+    photo_depth, _ = maps.at(photo, 1)
     x, y = rays(60, 40, 70.0, 70.0, 31.0, 19.0)
-    is_seen = np.broadcast_to((x * fx + cx < 70) & (y * fy + cy < 64), found.shape)
+    is_seen = np.broadcast_to((x * fx + cx < 70) & (y * fy + cy < 64), photo_depth.shape)
     assert 0.6 < is_seen.mean() < 1
-    expected = np.broadcast_to(plane_depth(x, y), found.shape)
-    assert np.abs(found - expected)[is_seen & (found > 0)].max() < 0.02
-    assert (found[~is_seen] == 0).all() and (found[is_seen] > 0).mean() > 0.6
+    expected = np.broadcast_to(plane_depth(x, y), photo_depth.shape)
+    assert np.abs(photo_depth - expected)[is_seen & (photo_depth > 0)].max() < 0.02
+    assert (photo_depth[~is_seen] == 0).all() and (photo_depth[is_seen] > 0).mean() > 0.6
 
 
 def test_of_a_distorted_photo_the_middle_is_taken_before_its_distortion():

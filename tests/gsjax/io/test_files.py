@@ -119,9 +119,9 @@ def test_the_folder_of_a_killed_writer_goes_when_the_next_one_begins(tmp_path):
     assert len(os.listdir(tmp_path)) == 3
     with files.atomic_folder(tmp_path / "scene") as folder:
         (folder / "whole").write_text("whole")
-    found = sorted(os.listdir(tmp_path))
-    assert found[0].startswith(".other.gsjax-"), "may be of a writer on another machine"
-    assert found[1:] == [".scene-0123abcd", "scene"] and os.listdir(tmp_path / "scene") == ["whole"]
+    entries = sorted(os.listdir(tmp_path))
+    assert entries[0].startswith(".other.gsjax-"), "may be of a writer on another machine"
+    assert entries[1:] == [".scene-0123abcd", "scene"] and os.listdir(tmp_path / "scene") == ["whole"]
 
 
 def test_a_folder_that_stays_empty_goes_with_the_parents_made_for_it(tmp_path):

@@ -32,9 +32,9 @@ def priors_of(folder, *photos):
     """The prior focal length of each photo, mm of 35 mm film, None where there is none; and why some are ignored."""
     for number, tags in enumerate(photos):
         photo(folder / f"{number}.jpg", **tags)
-    taken = source_photos.list_source_photos(folder)
-    priors, ignored = initial_cameras.focal_priors(taken)
-    cameras = initial_cameras.guess_cameras(taken, priors)
+    shots = source_photos.list_source_photos(folder)
+    priors, ignored = initial_cameras.focal_priors(shots)
+    cameras = initial_cameras.guess_cameras(shots, priors)
     focals = [camera.mean_focal_length() / PIXELS_A_MM if camera.has_prior_focal_length else None for camera in cameras]
     return cameras, focals, ignored
 
@@ -84,7 +84,7 @@ def fake_model(registered, points=100):
 
 
 @pytest.mark.parametrize(
-    ("models", "kept", "line"),
+    ("models", "index", "line"),
     [
         ([10], 0, ""),
         ([9, 20], 1, "9 of 20 photos get a pose with the focal lengths of EXIF, 20 without them; the model without"),
@@ -92,25 +92,25 @@ def fake_model(registered, points=100):
         ([None, 6], 1, "0 of 20 photos get a pose with the focal lengths of EXIF, 6 without them; the model without"),
     ],
 )
-def test_mapping_runs_again_without_priors_where_less_than_half_register(tmp_path, monkeypatch, models, kept, line):
-    made, starts = [None if count is None else fake_model(count) for count in models], []
+def test_mapping_runs_again_without_priors_where_less_than_half_register(tmp_path, monkeypatch, models, index, line):
+    outcomes, starts = [None if count is None else fake_model(count) for count in models], []
 
     def map_photos(material, workspace, progress):
         starts.append(material.cameras[0].has_prior_focal_length)
-        if made[len(starts) - 1] is None:
+        if outcomes[len(starts) - 1] is None:
             raise InputError("no model found")
-        return made[len(starts) - 1], {}
+        return outcomes[len(starts) - 1], {}
 
     monkeypatch.setattr(mapping, "map_photos", map_photos)
     for number in range(20):
         photo(tmp_path / f"{number:02d}.jpg", film=135)
-    taken = source_photos.list_source_photos(tmp_path)
-    priors, _ = initial_cameras.focal_priors(taken)
-    material = mapping.Material(taken, [], np.zeros((20, 20)), [])
-    model, _, told = mapping.map_photos_with_priors(material, priors, tmp_path / "work", quietly)
+    shots = source_photos.list_source_photos(tmp_path)
+    priors, _ = initial_cameras.focal_priors(shots)
+    material = mapping.Material(shots, [], np.zeros((20, 20)), [])
+    model, _, note = mapping.map_photos_with_priors(material, priors, tmp_path / "work", quietly)
     assert starts == [True, False][: len(models)]
-    assert model is made[kept]
-    assert told.startswith(line) and bool(told) == bool(line)
+    assert model is outcomes[index]
+    assert note.startswith(line) and bool(note) == bool(line)
     with pytest.raises(InputError, match="no model found"):
-        made[:], starts[:] = [None, None], []
+        outcomes[:], starts[:] = [None, None], []
         mapping.map_photos_with_priors(material, priors, tmp_path / "again", quietly)

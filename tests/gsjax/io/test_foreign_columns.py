@@ -93,9 +93,9 @@ def test_normals_are_the_smallest_axes(tmp_path):
     gaussians = cloud(200)
     write_gaussians(tmp_path / "g.ply", gaussians)
     least = np.linalg.eigh(np.asarray(covariances(gaussians), np.float64))[1][..., 0]
-    found = normals(tmp_path / "g.ply")
-    np.testing.assert_allclose(np.abs(np.sum(found * least, axis=1)), 1, atol=1e-4)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, rtol=1e-6)
+    directions = normals(tmp_path / "g.ply")
+    np.testing.assert_allclose(np.abs(np.sum(directions * least, axis=1)), 1, atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, rtol=1e-6)
 
 
 def test_normals_face_the_nearest_camera_or_away_from_the_middle(tmp_path):

@@ -18,7 +18,7 @@ ASCII = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty do
 ASCII += b"property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 4 5 6\n-1e3 0.5 7 8 9 10\n"
 
 
-def written(write, path):
+def write_sample(write, path):
     gaussians = cloud(20)
     write(path, Gaussians(**{**gaussians.__dict__, "sh_rest": np.zeros((20, 3, 3), np.float32)}))
     return path.read_bytes()
@@ -36,12 +36,12 @@ def written(write, path):
 )
 def test_fuzz_files_of_gaussians(tmp_path, name, write, read):
     path = tmp_path / name
-    written(write, path)
+    write_sample(write, path)
 
     def read_whole():
-        found = read(path)
-        if isinstance(found, Gaussians):
-            assert all(np.isfinite(values).all() for values in vars(found).values() if not isinstance(values, str))
+        content = read(path)
+        if isinstance(content, Gaussians):
+            assert all(np.isfinite(values).all() for values in vars(content).values() if not isinstance(values, str))
 
     used, refused = fuzz_files(read_whole, path, usual=80)
     assert refused
@@ -53,7 +53,7 @@ def test_fuzz_the_inside_of_spz(tmp_path):
     import gzip
 
     path = tmp_path / "g.spz"
-    whole = gzip.decompress(written(write_spz, path))
+    whole = gzip.decompress(write_sample(write_spz, path))
 
     def attempt(random):
         path.write_bytes(gzip.compress(damaged(whole, random)))
@@ -65,7 +65,7 @@ def test_fuzz_the_inside_of_spz(tmp_path):
 def test_fuzz_the_inside_of_sog(tmp_path):
     """Its images and its meta.json, in an archive whose checksums fit."""
     path = tmp_path / "g.sog"
-    written(write_sog, path)
+    write_sample(write_sog, path)
     with zipfile.ZipFile(path) as archive:
         parts = {name: archive.read(name) for name in archive.namelist()}
 

@@ -66,8 +66,8 @@ def test_a_file_of_local_coordinates_is_never_without_what_tells_them(tmp_path, 
 def test_free_rows_of_a_buffer_are_not_written(tmp_path, name):
     buffer = cloud(10, capacity=100)
     gsjax.save_gaussians(buffer, tmp_path / name)
-    written = gsjax.load_gaussians(tmp_path / name)
-    assert written.num_gaussians == 10
-    assert float(written.logit_opacities.min()) > -10
+    gaussians = gsjax.load_gaussians(tmp_path / name)
+    assert gaussians.num_gaussians == 10
+    assert float(gaussians.logit_opacities.min()) > -10
     gsjax.save_gaussians(take(buffer, slice(10)), tmp_path / f"alone_{name}")
     assert (tmp_path / name).read_bytes() == (tmp_path / f"alone_{name}").read_bytes()

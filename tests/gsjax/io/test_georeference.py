@@ -51,7 +51,7 @@ def test_gps_is_read_on_every_side_of_the_earth_and_below_the_sea(tmp_path, plac
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"t2": (IFDRational(48), IFDRational(6, 0), IFDRational(0))}, "latitude is no angle"),
         ({"t4": (IFDRational(1150), IFDRational(0), IFDRational(0))}, "longitude is no angle"),
@@ -59,8 +59,8 @@ def test_gps_is_read_on_every_side_of_the_earth_and_below_the_sea(tmp_path, plac
         ({"t3": ""}, "longitude does not say E or W"),
     ],
 )
-def test_damaged_gps_is_told_in_words(tmp_path, changed, told):
-    assert told in fix_of(tmp_path, *MUNICH, **changed)
+def test_damaged_gps_is_told_in_words(tmp_path, changed, message):
+    assert message in fix_of(tmp_path, *MUNICH, **changed)
 
 
 def flight(around, noise, path="ring", roll=2.0, seed=0):
@@ -78,8 +78,8 @@ def flight(around, noise, path="ring", roll=2.0, seed=0):
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0, 0, 1.0])
         right /= np.linalg.norm(right)
-        held = Rotation.from_rotvec(np.radians(roll) * rng.normal() * forward).as_matrix()
-        axes = np.stack([held @ right, held @ np.cross(forward, right), forward]) @ rotation.T
+        roll_matrix = Rotation.from_rotvec(np.radians(roll) * rng.normal() * forward).as_matrix()
+        axes = np.stack([roll_matrix @ right, roll_matrix @ np.cross(forward, right), forward]) @ rotation.T
         center = (rotation @ place + [1, 2, 3]) / 7.3
         viewmats.append(np.c_[axes, -axes @ center])
     degrees = EARTH.enu_to_ellipsoid(places + noise * rng.normal(size=places.shape), *around)
@@ -88,21 +88,21 @@ def flight(around, noise, path="ring", roll=2.0, seed=0):
 
 def errors(viewmats, place, places):
     """Degrees of tilt, and the largest distance from the true places in shares of their extent."""
-    found = place.points_to_world(-np.einsum("vji,vj->vi", viewmats[:, :, :3], viewmats[:, :, 3]))
+    positions = place.points_to_world(-np.einsum("vji,vj->vi", viewmats[:, :, :3], viewmats[:, :, 3]))
     turn = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix()
     up = np.array(place.rotation) @ turn @ [0, 0, 1.0]
-    off = found - found.mean(0) - places + places.mean(0)
+    off = positions - positions.mean(0) - places + places.mean(0)
     return np.degrees(np.arccos(min(up[2], 1.0))), np.linalg.norm(off, axis=1).max() / np.ptp(places, axis=0).max()
 
 
 @pytest.mark.parametrize("around", [MUNICH, SANTIAGO, FIJI])
 def test_a_flight_comes_out_level_and_true_to_scale(around):
     viewmats, fixes, places = flight(around, noise=0.3)
-    found = georeference(viewmats, fixes)
-    tilt, off = errors(viewmats, found.place, places)
+    solution = georeference(viewmats, fixes)
+    tilt, off = errors(viewmats, solution.place, places)
     assert tilt < 1 and off < 0.01
-    assert found.errors == {} and found.place.is_known
-    middle = EARTH.ellipsoid_to_enu(np.array([found.place.origin]), *around)[0]
+    assert solution.errors == {} and solution.place.is_known
+    middle = EARTH.ellipsoid_to_enu(np.array([solution.place.origin]), *around)[0]
     assert np.linalg.norm(middle - np.median(places, axis=0)) < 0.5
 
 
@@ -110,25 +110,27 @@ def test_wrong_gps_is_told_apart_and_not_followed():
     viewmats, fixes, places = flight(MUNICH, noise=0.3)
     fixes[3] = fixes[3]._replace(latitude=fixes[3].latitude + 0.01)
     fixes[9], fixes[11] = Fix(12.0, 13.0, 14.0), None
-    found = georeference(viewmats, fixes)
-    tilt, off = errors(viewmats, found.place, places)
+    solution = georeference(viewmats, fixes)
+    tilt, off = errors(viewmats, solution.place, places)
     assert tilt < 1 and off < 0.01
-    assert list(found.errors) == [3, 9] and found.errors[3] == pytest.approx(1112, rel=0.01)
+    assert list(solution.errors) == [3, 9] and solution.errors[3] == pytest.approx(1112, rel=0.01)
 
 
 def test_gps_on_a_line_leaves_up_to_the_cameras_and_says_so():
     viewmats, fixes, places = flight(MUNICH, noise=0.3, path="line")
-    found = georeference(viewmats, fixes)
-    tilt, off = errors(viewmats, found.place, places)
-    assert "up by the cameras (the GPS tells it" in found.summary
+    solution = georeference(viewmats, fixes)
+    tilt, off = errors(viewmats, solution.place, places)
+    assert "up by the cameras (the GPS tells it" in solution.summary
     assert tilt < 2 and off < 0.03  # What is held to 2 degrees by each of 40 hands.
 
 
-@pytest.mark.parametrize(("path", "kept", "told"), [("spot", COUNT, "told apart"), ("ring", 2, "in 2 of 40 photos")])
-def test_gps_that_tells_no_scale_is_not_followed(path, kept, told):
+@pytest.mark.parametrize(
+    ("path", "num_fixes", "message"), [("spot", COUNT, "told apart"), ("ring", 2, "in 2 of 40 photos")]
+)
+def test_gps_that_tells_no_scale_is_not_followed(path, num_fixes, message):
     viewmats, fixes, _ = flight(MUNICH, noise=3.0, path=path)
-    found = georeference(viewmats, [*fixes[:kept], *[None] * (COUNT - kept)])
-    assert not found.place.is_known and told in found.summary
+    solution = georeference(viewmats, [*fixes[:num_fixes], *[None] * (COUNT - num_fixes)])
+    assert not solution.place.is_known and message in solution.summary
 
 
 def test_a_model_is_brought_to_its_place_with_its_points(tmp_path):
@@ -141,11 +143,11 @@ def test_a_model_is_brought_to_its_place_with_its_points(tmp_path):
     beacon = np.array([3.0, -4.0, 2.0])
     turn = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix()
     point = model.add_point3D((turn @ beacon + [1, 2, 3]) / 7.3, pycolmap.Track(), np.zeros(3, np.uint8))
-    found = place_model(model, [SimpleNamespace(fix=fix, to_upright=0, gravity=None) for fix in fixes])
-    origin = EARTH.ellipsoid_to_enu(np.array([found.place.origin]), *SANTIAGO)[0]
+    placement = place_model(model, [SimpleNamespace(fix=fix, to_upright=0, gravity=None) for fix in fixes])
+    origin = EARTH.ellipsoid_to_enu(np.array([placement.place.origin]), *SANTIAGO)[0]
     np.testing.assert_allclose(model.point3D(point).xyz + origin, beacon, atol=1e-3)
     centers = np.stack([model.image(number).projection_center() for number in range(1, COUNT + 1)])
     np.testing.assert_allclose(centers + origin, places, atol=1e-3)
-    assert not found.place.moves  # What is written is in the world already.
-    write_place(tmp_path, found.place)
-    assert read_place(tmp_path) == found.place
+    assert not placement.place.moves  # What is written is in the world already.
+    write_place(tmp_path, placement.place)
+    assert read_place(tmp_path) == placement.place

@@ -64,7 +64,7 @@ def test_a_gimbal_says_it_by_pitch_and_roll(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "told",
+    "tags",
     [
         {},
         {"note": apple_note((0, -1, 0))[:40]},  # cut off
@@ -76,8 +76,8 @@ def test_a_gimbal_says_it_by_pitch_and_roll(tmp_path):
         {"xmp": XMP.replace("Pitch", "Yaw").format(0, 0)},
     ],
 )
-def test_what_does_not_tell_it_says_nothing(tmp_path, told):
-    assert noted(tmp_path, **told) is None
+def test_what_does_not_tell_it_says_nothing(tmp_path, tags):
+    assert noted(tmp_path, **tags) is None
 
 
 def poses(count, tilted=3.0):
@@ -93,10 +93,10 @@ def poses(count, tilted=3.0):
 def test_most_photos_decide_and_the_error_is_told():
     viewmats, downs, up = poses(30)
     downs[4], downs[7] = (1.0, 0.0, 0.0), None
-    found = up_by_gravity(viewmats, downs)
-    off = np.arccos(found.direction @ up)
-    assert np.degrees(off) < 2 and off < 4 * found.error < np.radians(5)
-    assert found.source == "the gravity that 28 photos noted"
+    estimate = up_by_gravity(viewmats, downs)
+    off = np.arccos(estimate.direction @ up)
+    assert np.degrees(off) < 2 and off < 4 * estimate.error < np.radians(5)
+    assert estimate.source == "the gravity that 28 photos noted"
 
 
 def test_without_gps_a_model_is_turned_upright_and_its_folder_says_so(tmp_path):
@@ -107,9 +107,9 @@ def test_without_gps_a_model_is_turned_upright_and_its_folder_says_so(tmp_path):
         image = pycolmap.Image(name=f"{number}.jpg", camera_id=1, image_id=number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
     point = model.add_point3D(5 * up, pycolmap.Track(), np.zeros(3, np.uint8))
-    found = place_model(model, [SimpleNamespace(fix=None, to_upright=0, gravity=down) for down in downs])
+    placement = place_model(model, [SimpleNamespace(fix=None, to_upright=0, gravity=down) for down in downs])
     np.testing.assert_allclose(model.point3D(point).xyz, [0, 0, 5], atol=1e-6)
-    assert found.summary.endswith("`gsjax scale` sets it; upright by the gravity that 12 photos noted")
-    assert not found.place.is_known and not found.place.moves and found.place.up == (0, 0, 1)
-    write_place(tmp_path, found.place)
-    assert read_place(tmp_path) == found.place
+    assert placement.summary.endswith("`gsjax scale` sets it; upright by the gravity that 12 photos noted")
+    assert not placement.place.is_known and not placement.place.moves and placement.place.up == (0, 0, 1)
+    write_place(tmp_path, placement.place)
+    assert read_place(tmp_path) == placement.place

@@ -236,11 +236,11 @@ def test_a_jpeg_with_another_end_is_read_whole_and_named_where_its_marker_is_mis
     (tmp_path / "a.jpg").write_bytes(data[:-2] + end)
     check_image(tmp_path / "a.jpg")
     np.testing.assert_array_equal(read_image(tmp_path / "a.jpg")[0], read_image(tmp_path / "whole.jpg")[0])
-    told = capsys.readouterr().err
+    message = capsys.readouterr().err
     if b"\xff\xd9" in end:
-        assert told == ""
+        assert message == ""
     elif not end.count(0):  # Behind zeros the decoder has all that it wants.
-        assert told == f"{tmp_path / 'a.jpg'}: its end marker is missing, its pixels are all there; it is read\n"
+        assert message == f"{tmp_path / 'a.jpg'}: its end marker is missing, its pixels are all there; it is read\n"
 
 
 @pytest.mark.parametrize("missing", [4, 8, 20, 200])

@@ -68,13 +68,13 @@ def test_a_library_is_absent_or_too_old_or_does_not_load_or_is_fine(needs, tmp_p
     )
     (tmp_path / "broken-one.py").write_text("raise OSError('libGL.so.1: cannot open shared object file')\n")
     monkeypatch.syspath_prepend(tmp_path)
-    found = needs("numpy>=2.2", "scipy>=99", "not-there>=1", "broken-one")
-    assert found["numpy"] == Finding("numpy", True, metadata.version("numpy"))
-    assert found["scipy"].result == f"{metadata.version('scipy')} does not fit >=99"
-    assert found["scipy"].remedy == "pip install 'scipy>=99'"
-    assert found["not-there"].result == "is not installed"
-    assert found["broken-one"].result == "1.0 does not load: libGL.so.1: cannot open shared object file"
-    assert [name for name, finding in found.items() if not finding.is_fine] == ["scipy", "not-there", "broken-one"]
+    findings = needs("numpy>=2.2", "scipy>=99", "not-there>=1", "broken-one")
+    assert findings["numpy"] == Finding("numpy", True, metadata.version("numpy"))
+    assert findings["scipy"].result == f"{metadata.version('scipy')} does not fit >=99"
+    assert findings["scipy"].remedy == "pip install 'scipy>=99'"
+    assert findings["not-there"].result == "is not installed"
+    assert findings["broken-one"].result == "1.0 does not load: libGL.so.1: cannot open shared object file"
+    assert [name for name, finding in findings.items() if not finding.is_fine] == ["scipy", "not-there", "broken-one"]
 
 
 @pytest.mark.parametrize(("is_fine", "code"), [(True, 0), (False, 1)])
@@ -83,5 +83,5 @@ def test_the_doctor_s_code_and_json_say_whether_all_is_well(is_fine, code, monke
     assert cli.main(["doctor"]) == code
     assert ("type: cd ELSEWHERE" in capsys.readouterr().out) != is_fine
     assert cli.main(["doctor", "--json"]) == code
-    told = json.loads(capsys.readouterr().out)
-    assert told["is_well"] == is_fine and told["findings"][0]["name"] == "disk"
+    report = json.loads(capsys.readouterr().out)
+    assert report["is_well"] == is_fine and report["findings"][0]["name"] == "disk"

@@ -44,8 +44,8 @@ def world(tmp_path_factory):
     rotations, folder = {}, tmp_path_factory.mktemp("world")
     for number, angle in enumerate(np.radians(np.linspace(-16, 16, 6))):
         rotation = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-        seen = points @ rotation.T + [0, 0.2 * number, 10]
-        xy = np.floor(FOCAL * seen[:, :2] / seen[:, 2:] + [WIDTH / 2, HEIGHT / 2]).astype(int)
+        camera_points = points @ rotation.T + [0, 0.2 * number, 10]
+        xy = np.floor(FOCAL * camera_points[:, :2] / camera_points[:, 2:] + [WIDTH / 2, HEIGHT / 2]).astype(int)
         inside = ((xy >= 4) & (xy < [WIDTH - 4, HEIGHT - 4])).all(axis=1)
         columns, rows = xy[inside].T
         write_dots(folder / f"photos/{number}.png", columns, rows, colors[inside], (WIDTH, HEIGHT))
@@ -103,8 +103,8 @@ def test_a_photo_is_shown_upright_and_its_features_turned_back(tmp_path):
 
     detector = learned.DETECTORS["aliked"]._replace(gain=1.0)
     shot = read_source_photo(tmp_path / "photo.png", "photo.png", tmp_path / "mask.png")
-    found = learned._features(SimpleNamespace(detectAndCompute=brightest), detector, tmp_path, shot)
-    np.testing.assert_allclose(found.xy, [[80.5, 50.5]])
+    features = learned._features(SimpleNamespace(detectAndCompute=brightest), detector, tmp_path, shot)
+    np.testing.assert_allclose(features.xy, [[80.5, 50.5]])
 
 
 @needs_opencv_5
@@ -126,13 +126,15 @@ def test_photos_of_dots_get_their_poses_from_aliked_and_lightglue(tmp_path, weig
 @needs_opencv_5
 def test_nearest_descriptors_of_disk_pass_the_verification_of_colmap(weights, world):
     shots = list_source_photos(world[0])
-    found, matcher = learned.find_features(shots, "disk", weights["disk"], None, quietly)
-    scores = pairs.likeness(found, quietly)
-    material = mapping.Material(shots, found, scores, initial_cameras.guess_cameras(shots, {}), matcher)
+    features, matcher = learned.find_features(shots, "disk", weights["disk"], None, quietly)
+    scores = pairs.likeness(features, quietly)
+    material = mapping.Material(shots, features, scores, initial_cameras.guess_cameras(shots, {}), matcher)
     geometries = mapping.match_pairs(material, {(0, 1), (0, 5)}, "matching", quietly)
     assert scores[0, 1] > 100 and set(geometries) == {(0, 1), (0, 5)}
     for (i, j), geometry in geometries.items():
-        a, b = (found[photo].descriptors[rows] for photo, rows in zip((i, j), geometry.inlier_matches.T, strict=True))
+        a, b = (
+            features[photo].descriptors[rows] for photo, rows in zip((i, j), geometry.inlier_matches.T, strict=True)
+        )
         assert len(a) > 90
         np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5)  # each dot with the one of its colour
 
@@ -158,7 +160,7 @@ def test_files_that_are_no_such_network_are_named_in_one_line(tmp_path, weights,
 
     def refused(kind, file, matcher=None):
         with pytest.raises(InputError) as raised:
-            found, glue = learned.find_features(shots[:2], kind, file, matcher, quietly)
+            features, glue = learned.find_features(shots[:2], kind, file, matcher, quietly)
             assert glue is not None
             glue(0, 1)
         assert "\n" not in str(raised.value)

@@ -163,16 +163,16 @@ def test_a_wide_fisheye_photo_is_faces_that_lose_nothing_of_it(model):
     views = pinhole_views(lens)
     assert {view.suffix for view in views} == {"_front", "_right", "_left", "_up", "_down"}
     for view in views:
-        known = np.ones((view.height, view.width), bool) if view.valid is None else view.valid > 0
-        error = np.abs(view.warp(photo) - pattern(pinhole_rays(view)))[known]
+        is_valid = np.ones((view.height, view.width), bool) if view.valid is None else view.valid > 0
+        error = np.abs(view.warp(photo) - pattern(pinhole_rays(view)))[is_valid]
         assert np.quantile(error, 0.98) < 0.02
     rays = np.asarray(camera.cam_ray_from_img(image_points=centres(WIDTH, HEIGHT).reshape(-1, 2)))
-    shown = np.zeros(len(rays), int)
+    num_faces = np.zeros(len(rays), int)
     for view in views:
         x, y, z = view.rotation @ rays.T
         at = np.stack([x, y]) / np.where(z > 1e-6, z, np.inf) * np.diag(view.K)[:2, None] + view.K[:2, 2:]
         column, row = np.clip(at, 0, [[view.width - 1], [view.height - 1]]).astype(int)
         within = (z > 1e-6) & (at >= 0).all(0) & (at < [[view.width], [view.height]]).all(0)
-        shown += within & (True if view.valid is None else view.valid[row, column] > 0)
-    assert (shown == 1).mean() > 0.98
-    assert shown.max() <= 2 and np.arccos(rays[:, 2].min()) > np.radians(60)
+        num_faces += within & (True if view.valid is None else view.valid[row, column] > 0)
+    assert (num_faces == 1).mean() > 0.98
+    assert num_faces.max() <= 2 and np.arccos(rays[:, 2].min()) > np.radians(60)

@@ -48,8 +48,8 @@ def test_spz_keeps_everything_to_its_steps(tmp_path_factory, gaussians):
     rest_steps = np.where(np.arange(gaussians.sh_rest.shape[1]) < 3, 1 / 16, 1 / 8)[:, None]
     steps = {"log_scales": 1 / 16, "sh_dc": 1 / 38.25, "sh_rest": rest_steps}
     for field, (low, high) in reach.items():
-        wanted = np.clip(getattr(gaussians, field).astype(np.float64), low, high)
-        assert (np.abs(getattr(read, field) - wanted) <= steps[field] / 2 + 10 * ROUNDING).all(), field
+        expected = np.clip(getattr(gaussians, field).astype(np.float64), low, high)
+        assert (np.abs(getattr(read, field) - expected) <= steps[field] / 2 + 10 * ROUNDING).all(), field
     assert np.abs(expit(read.logit_opacities) - expit(gaussians.logit_opacities)).max(initial=0) <= 0.5 / 255 + 1e-6
     outside = {field: beyond(gaussians, field, *reach[field]) for field in reach}
     far_outside = {field: beyond(gaussians, field, *reach[field], by=steps[field]) for field in reach}
@@ -71,18 +71,18 @@ def test_a_compressed_ply_keeps_everything_to_the_steps_of_its_chunks(tmp_path_f
     count = len(gaussians.means)
     number = np.rint((read.log_scales[:, 0] + 6) / 0.01).astype(int)
     assert sorted(number) == list(range(count))
-    wanted = {field: getattr(gaussians, field)[number].astype(np.float64) for field in FIELDS}
+    expected = {field: getattr(gaussians, field)[number].astype(np.float64) for field in FIELDS}
     chunk = np.arange(count) // 256
-    wanted["log_scales"] = np.clip(wanted["log_scales"], -20, 20)
+    expected["log_scales"] = np.clip(expected["log_scales"], -20, 20)
     for field, levels in (("means", (2047, 1023, 2047)), ("log_scales", (2047, 1023, 2047)), ("sh_dc", (255,) * 3)):
-        found, values = getattr(read, field).reshape(-1, 3), wanted[field].reshape(-1, 3)
+        actual, values = getattr(read, field).reshape(-1, 3), expected[field].reshape(-1, 3)
         for index in range(-(-count // 256)):
             own = values[chunk == index]
             bound = np.ptp(own, axis=0) / levels / 2 + ROUNDING * np.abs(own).max() + 10 * ROUNDING
-            assert (np.abs(found[chunk == index] - own) <= bound).all(), field
-    assert turns_apart(wanted["quats"], read.quats) <= 3.1 * np.sqrt(2) / 1023 / 2
-    assert np.abs(expit(read.logit_opacities) - expit(wanted["logit_opacities"])).max(initial=0) <= 0.5 / 255 + 1e-6
-    assert (np.abs(read.sh_rest - np.clip(wanted["sh_rest"], -4, 4)) <= 1 / 32).all()
+            assert (np.abs(actual[chunk == index] - own) <= bound).all(), field
+    assert turns_apart(expected["quats"], read.quats) <= 3.1 * np.sqrt(2) / 1023 / 2
+    assert np.abs(expit(read.logit_opacities) - expit(expected["logit_opacities"])).max(initial=0) <= 0.5 / 255 + 1e-6
+    assert (np.abs(read.sh_rest - np.clip(expected["sh_rest"], -4, 4)) <= 1 / 32).all()
     beyond = (np.abs(gaussians.log_scales) > 20).any(1) | (np.abs(gaussians.sh_rest) > 4).any((1, 2))
     beyond |= (np.abs(gaussians.sh_dc * SH_C0 + 0.5) > 4).any((1, 2))
     assert clipped == beyond.sum()
@@ -220,10 +220,10 @@ def test_far_gaussians_take_no_precision_from_others(tmp_path, name, count, numb
     others = np.setdiff1d(np.arange(count), far)
     errors = []
     for file in (name, f"far_{name}"):
-        found = read(tmp_path / file)
-        places = np.argsort(np.rint((found.log_scales[:, 1:] + 6) / 0.1) @ [64, 1])
-        errors.append(np.abs(found.means[places[others]] - near.means[others]).mean())
-        came_in = found.means[places[far]] - offset
+        result = read(tmp_path / file)
+        places = np.argsort(np.rint((result.log_scales[:, 1:] + 6) / 0.1) @ [64, 1])
+        errors.append(np.abs(result.means[places[others]] - near.means[others]).mean())
+        came_in = result.means[places[far]] - offset
     assert errors[1] < 1.5 * errors[0] + 1e-6 * (offset > 0)
     assert (np.abs(came_in).max(axis=1) < 4).all()
     cosines = (

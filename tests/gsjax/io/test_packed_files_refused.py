@@ -113,8 +113,8 @@ def test_an_spz_that_asks_for_a_hundred_gigabytes_is_refused(tmp_path, version):
     header = header[:8] + struct.pack("<I", MILLIONS) + header[12:]
     whole = gzip.compress(header + b"".join(arrays)) if version == 3 else version_4(header, arrays)
     (tmp_path / "g.spz").write_bytes(whole)
-    wanted = "truncated, 4000000000 Gaussians need" if version == 3 else "4000000000 Gaussians takes .* GiB of memory"
-    with pytest.raises(InputError, match=f"g.spz: {wanted}"):
+    fault = "truncated, 4000000000 Gaussians need" if version == 3 else "4000000000 Gaussians takes .* GiB of memory"
+    with pytest.raises(InputError, match=f"g.spz: {fault}"):
         read_spz(tmp_path / "g.spz")
 
 

@@ -45,13 +45,13 @@ def scene(world, tmp_path_factory):
     for number in range(PHOTOS):
         grey = np.full((HEIGHT, WIDTH, 3), 40 * number, np.uint8)
         Image.fromarray(grey).save(root / f"photos/{number}.png")
-    taken = source_photos.as_panoramas(source_photos.list_source_photos(root / "photos"), 60.0)
+    shots = source_photos.as_panoramas(source_photos.list_source_photos(root / "photos"), 60.0)
     descriptors = np.random.default_rng(1).integers(0, 255, (POINTS, 128)).astype(np.uint8)
-    found = [Features(seen_at(world[0], *pose), descriptors) for pose in zip(*world[1:], strict=True)]
-    material = mapping.Material(taken, found, likeness(found, quietly), initial_cameras.guess_cameras(taken, {}))
+    features = [Features(seen_at(world[0], *pose), descriptors) for pose in zip(*world[1:], strict=True)]
+    material = mapping.Material(shots, features, likeness(features, quietly), initial_cameras.guess_cameras(shots, {}))
     model, left_out = mapping.map_photos(material, make_folder(root / "work"), quietly)
     assert left_out == {}
-    dataset_writer.write_dataset(model, taken, make_folder(root / "scene"), quietly)
+    dataset_writer.write_dataset(model, shots, make_folder(root / "scene"), quietly)
     return load_scene(root / "scene")
 
 
@@ -62,8 +62,8 @@ def test_poses_are_those_of_the_world_up_to_a_similarity(world, scene):
     for a, b in ((0, 1), (2, 5)):
         ours = fronts[b].viewmat[:3, :3] @ fronts[a].viewmat[:3, :3].T
         np.testing.assert_allclose(ours, turns[b] @ turns[a].T, atol=1e-3)
-    found = np.stack([-frame.viewmat[:3, :3].T @ frame.viewmat[:3, 3] for frame in fronts])
-    apart, true = (np.linalg.norm(np.diff(each, axis=0), axis=1) for each in (found, centers))
+    positions = np.stack([-frame.viewmat[:3, :3].T @ frame.viewmat[:3, 3] for frame in fronts])
+    apart, true = (np.linalg.norm(np.diff(each, axis=0), axis=1) for each in (positions, centers))
     np.testing.assert_allclose(apart / apart[0], true / true[0], rtol=2e-3)
 
 
@@ -75,12 +75,12 @@ def test_a_point_lies_in_a_face_where_the_panorama_shows_it(world, scene):
         rays = np.stack([(x - frame.K[0, 2]) / frame.K[0, 0], (y - frame.K[1, 2]) / frame.K[1, 1], np.ones_like(x)], -1)
         front = next(f for f in scene.frames if f.name == "3_front.png")
         in_panorama = rays @ (frame.viewmat[:3, :3] @ front.viewmat[:3, :3].T)
-        shown = seen_at(in_panorama.reshape(-1, 3), np.eye(3), np.zeros(3))[:, 1].reshape(x.shape)
+        panorama_y = seen_at(in_panorama.reshape(-1, 3), np.eye(3), np.zeros(3))[:, 1].reshape(x.shape)
         valid = frame.pixels().valid
         is_valid = np.ones(x.shape, bool) if valid is None else valid > 127
         limit = HEIGHT * (0.5 + 60 / 180)
-        assert is_valid[shown < limit - 2].all(), frame.name
-        assert not is_valid[shown > limit + 2].any(), frame.name
+        assert is_valid[panorama_y < limit - 2].all(), frame.name
+        assert not is_valid[panorama_y > limit + 2].any(), frame.name
     assert len(turns) == PHOTOS
 
 

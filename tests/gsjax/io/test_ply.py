@@ -103,8 +103,8 @@ def test_the_pixel_filter_is_told_by_the_comments_of_other_programs(tmp_path, co
     names, rows = table_of(tmp_path / "g.ply")
     write_table(tmp_path / "h.ply", names, rows)
     data = (tmp_path / "h.ply").read_bytes()
-    told = "".join(f"comment {text}\n" for text in comments).encode()
-    (tmp_path / "h.ply").write_bytes(data.replace(b"element", told + b"element", 1))
+    comment_lines = "".join(f"comment {text}\n" for text in comments).encode()
+    (tmp_path / "h.ply").write_bytes(data.replace(b"element", comment_lines + b"element", 1))
     assert read_gaussians(tmp_path / "h.ply").pixel_filter == expected
 
 
@@ -129,12 +129,12 @@ def test_byte_order_marks_comments_and_line_ends_change_nothing(tmp_path, old, n
 def test_missing_columns_are_named(tmp_path):
     write_gaussians(tmp_path / "g.ply", some_gaussians())
     names, rows = table_of(tmp_path / "g.ply")
-    kept = [i for i, name in enumerate(names) if name not in ("opacity", "rot_3")]
-    write_table(tmp_path / "h.ply", [names[i] for i in kept], rows[:, kept])
+    columns = [i for i, name in enumerate(names) if name not in ("opacity", "rot_3")]
+    write_table(tmp_path / "h.ply", [names[i] for i in columns], rows[:, columns])
     with pytest.raises(InputError, match=r"h.ply: not a PLY of Gaussians, it lacks opacity, rot_3$"):
         read_gaussians(tmp_path / "h.ply")
-    kept = [i for i, name in enumerate(names) if name != "f_rest_44"]
-    write_table(tmp_path / "h.ply", [names[i] for i in kept], rows[:, kept])
+    columns = [i for i, name in enumerate(names) if name != "f_rest_44"]
+    write_table(tmp_path / "h.ply", [names[i] for i in columns], rows[:, columns])
     with pytest.raises(InputError, match=r"44 columns f_rest_\*"):
         read_gaussians(tmp_path / "h.ply")
 
@@ -163,8 +163,8 @@ def test_rows_that_are_not_finite_are_left_out_and_counted(tmp_path, capsys):
     gaussians.log_scales[7] = np.inf
     write_gaussians(tmp_path / "g.ply", gaussians)
     assert_same(read_gaussians(tmp_path / "g.ply"), take(gaussians, np.array([0, 1, 3, 4, 6, 8])))
-    told = f"{tmp_path / 'g.ply'}: 3 of 9 Gaussians hold values that are not finite; they are left out\n"
-    assert capsys.readouterr().err == told
+    message = f"{tmp_path / 'g.ply'}: 3 of 9 Gaussians hold values that are not finite; they are left out\n"
+    assert capsys.readouterr().err == message
     gaussians.quats[:] = np.nan
     write_gaussians(tmp_path / "h.ply", gaussians)
     with pytest.raises(InputError, match=r"h.ply: 9 of 9 Gaussians hold values that are not finite$"):
@@ -191,8 +191,8 @@ def test_discs_of_2dgs_are_discs(tmp_path, capsys, third):
     gaussians.log_scales[4] = -np.inf  # nothing at all
     write_gaussians(tmp_path / "g.ply", gaussians)
     names, rows = table_of(tmp_path / "g.ply")
-    kept = [name for name in names if third != "absent" or name != "scale_2"]
-    write_table(tmp_path / "d.ply", kept, rows[:, [names.index(name) for name in kept]])
+    columns = [name for name in names if third != "absent" or name != "scale_2"]
+    write_table(tmp_path / "d.ply", columns, rows[:, [names.index(name) for name in columns]])
     read = read_gaussians(tmp_path / "d.ply")
     assert "d.ply: 9 of 9 are discs, 0.0001 of their radius thick\n" in capsys.readouterr().err
     others = take(gaussians, np.arange(9) != 4)

@@ -27,9 +27,9 @@ def half_mask(width=40, height=30):
 
 def test_a_selection_of_photos_is_held_out_as_among_all(colmap_scene, tmp_path):
     root, names = colmap_scene(count=18), [f"{i:03d}.png" for i in range(4, 10)]
-    chosen = tmp_path / "chosen.txt"
-    chosen.write_text("\n".join(names))
-    scene = load_scene(root, photos=str(chosen))
+    photo_list = tmp_path / "chosen.txt"
+    photo_list.write_text("\n".join(names))
+    scene = load_scene(root, photos=str(photo_list))
     assert [f.name for f in scene.frames] == names
     assert [f.name for f in scene.held_out_frames] == ["008.png"]
     for text, fault in (
@@ -37,9 +37,9 @@ def test_a_selection_of_photos_is_held_out_as_among_all(colmap_scene, tmp_path):
         ("", "names no photo$"),
         ("9.png", "there is no photo"),
     ):
-        chosen.write_text(text)
+        photo_list.write_text(text)
         with pytest.raises(InputError, match=fault):
-            load_scene(root, photos=str(chosen))
+            load_scene(root, photos=str(photo_list))
 
 
 def test_a_frame_keeps_pixels_intrinsics_and_pose(colmap_scene):
@@ -253,9 +253,9 @@ def test_truncated_images_are_left_out_and_named(colmap_scene, share, suffix, ca
     data = cv2.imencode(suffix, read(file))[1].tobytes()  # a JPEG under a PNG's name is read as what it is
     file.write_bytes(data[: int(share * len(data))])
     assert [frame.name for frame in load_scene(root).frames] == [f"{i:03d}.png" for i in range(10) if i != 5]
-    told = capsys.readouterr().err
-    assert "005.png: not a whole image" in told and told.endswith("; 1 of 10 photos is left out\n")
-    assert told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "005.png: not a whole image" in message and message.endswith("; 1 of 10 photos is left out\n")
+    assert message.count("\n") == 1
 
 
 def test_a_folder_that_is_no_data_set_is_told_what_is_looked_for(tmp_path):
@@ -272,12 +272,12 @@ def test_a_folder_that_is_no_data_set_is_told_what_is_looked_for(tmp_path):
 @pytest.mark.parametrize("folder", ["kitchen", "bunny_plane"])
 def test_sparse_points_fall_on_the_frames(shared, folder):
     scene = load_scene(shared / "data" / folder, downscale=2)
-    seen = np.zeros(len(scene.points), int)
+    num_views = np.zeros(len(scene.points), int)
     for frame in scene.frames:
         cam = scene.points @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]
         xy = cam[:, :2] / cam[:, 2:] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
-        seen += (cam[:, 2] > 0) & (xy >= 0).all(1) & (xy <= [frame.width, frame.height]).all(1)
-    assert (seen >= 2).mean() > 0.999
+        num_views += (cam[:, 2] > 0) & (xy >= 0).all(1) & (xy <= [frame.width, frame.height]).all(1)
+    assert (num_views >= 2).mean() > 0.999
 
 
 @pytest.mark.parametrize(

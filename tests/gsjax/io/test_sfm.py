@@ -84,10 +84,10 @@ def test_points_have_the_colours_of_the_photos(fox):
     pixels, _ = read_image(scene / "images" / image.name)
     size = pixels.shape[1::-1]
     # Features of the border lie outside the undistorted photo.
-    seen = [p for p in image.points2D if p.has_point3D() and all(0 <= p.xy[k] < size[k] for k in range(2))]
-    assert len(seen) > 50
-    here = np.array([pixels[int(point.xy[1]), int(point.xy[0])] for point in seen], float)
-    colors = np.array([model.point3D(point.point3D_id).color for point in seen], float)
+    observations = [p for p in image.points2D if p.has_point3D() and all(0 <= p.xy[k] < size[k] for k in range(2))]
+    assert len(observations) > 50
+    here = np.array([pixels[int(point.xy[1]), int(point.xy[0])] for point in observations], float)
+    colors = np.array([model.point3D(point.point3D_id).color for point in observations], float)
     assert np.median(np.abs(colors - here)) < 10
 
 
@@ -125,10 +125,10 @@ def test_photos_held_upright_and_across_share_a_camera_and_come_out_upright(shar
         np.testing.assert_array_equal(camera.params[:2], across.params[1::-1])
     check_poses(tmp_path / "scene", shared, turns)
     for source in sorted((shared / "data/fox/images").iterdir())[:6]:
-        written = tmp_path / "scene/images" / source.name
-        with Image.open(written) as picture:
+        photo_path = tmp_path / "scene/images" / source.name
+        with Image.open(photo_path) as picture:
             assert 0x0112 not in picture.getexif()
-        pixels, _ = read_image(written)
+        pixels, _ = read_image(photo_path)
         expected = np.rot90(read_image(source)[0], -turns.get(source.name, 0))
         expected = cv2.resize(expected, pixels.shape[1::-1])
         assert np.abs(pixels.astype(int) - expected).mean() < 12

@@ -83,9 +83,9 @@ def test_matches_are_those_of_the_definition(monkeypatch):
     b = a[rng.permutation(40)[:30]] + rng.uniform(0, 0.12, (30, 1)) * rng.normal(size=(30, 128))
     b = np.r_[b, b[:5] + 0.01 * rng.normal(size=(5, 128))].astype(np.float32)  # five with a twin: not clear
     b /= np.linalg.norm(b, axis=1, keepdims=True)
-    found = match(a, b)
-    assert 5 < len(found) < 25
-    assert found.tolist() == [list(pair) for pair in mutual_and_clear(a, b)]
+    matches = match(a, b)
+    assert 5 < len(matches) < 25
+    assert matches.tolist() == [list(pair) for pair in mutual_and_clear(a, b)]
     assert match(a, b[:1]).shape == match(a[:0], b).shape == (0, 2)
 
 
@@ -97,8 +97,8 @@ def test_along_epipolar_lines_twins_elsewhere_do_no_harm():
     b = Features(np.r_[xy + [9, 0], xy + [9, 300]], np.r_[descriptors, descriptors])  # twins 300 rows below
     along_rows = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # F of a camera that moved to the side
     assert len(match(a.unit(), b.unit())) == 0
-    found = match(a.unit(), b.unit(), epipolar_regions(a, b, along_rows))
-    assert found[:5].tolist() == [[i, i] for i in range(5)]  # of the others a twin lies on the line of another
+    matches = match(a.unit(), b.unit(), epipolar_regions(a, b, along_rows))
+    assert matches[:5].tolist() == [[i, i] for i in range(5)]  # of the others a twin lies on the line of another
 
 
 def test_where_one_plane_fills_both_photos_twins_along_the_line_do_no_harm_either():
@@ -111,10 +111,10 @@ def test_where_one_plane_fills_both_photos_twins_along_the_line_do_no_harm_eithe
     a = Features(xy, descriptors)
     b = Features(np.r_[moved, moved + [300, 0]], np.r_[descriptors, descriptors])  # twins 300 columns beside
     assert len(match(a.unit(), b.unit())) == 0
-    found = match(a.unit(), b.unit(), homography_regions(a, b, plane))
-    assert found.tolist() == [[i, i] for i in range(20)]
+    matches = match(a.unit(), b.unit(), homography_regions(a, b, plane))
+    assert matches.tolist() == [[i, i] for i in range(20)]
     back = match(b.unit(), a.unit(), homography_regions(b, a, np.linalg.inv(plane)))
-    assert sorted(back[:, ::-1].tolist()) == found.tolist()
+    assert sorted(back[:, ::-1].tolist()) == matches.tolist()
 
 
 def test_photos_are_paired_with_the_likest_and_with_the_next_by_name(monkeypatch):
@@ -124,11 +124,11 @@ def test_photos_are_paired_with_the_likest_and_with_the_next_by_name(monkeypatch
     order = np.random.default_rng(0).permutation(count)  # where each photo stands on a line
     distance = np.abs(order[:, None] - order)
     scores = np.where(distance == 0, 0, 100 - distance)
-    chosen = pairs.choose_pairs(scores)
+    photo_pairs = pairs.choose_pairs(scores)
     neighbours = {(min(i, j), max(i, j)) for i, j in zip(*np.where(distance == 1), strict=True)}
-    assert neighbours <= chosen
-    assert {(i, i + 1) for i in range(count - 1)} <= chosen
-    assert len(chosen) < 4 * count
+    assert neighbours <= photo_pairs
+    assert {(i, i + 1) for i in range(count - 1)} <= photo_pairs
+    assert len(photo_pairs) < 4 * count
     assert len(set(pairs.connected_parts(count, neighbours))) == 1
 
 
@@ -144,9 +144,9 @@ def test_masks_are_masks_of_photos_and_no_photos(tmp_path, place):
     (masks / "sub").mkdir(parents=True)
     for name in ("a.png", "sub/a.png", "b.jpg.png"):
         Image.fromarray(np.full((20, 40), 100 + len(name), np.uint8)).save(masks / name)
-    found = source_photos.list_source_photos(tmp_path / "photos" if place == "inner" else folder)
-    assert [shot.name for shot in found] == ["a.png", "b.jpg", "sub/a.png"]
-    assert [int(shot.read_mask()[0, 0]) for shot in found] == [105, 109, 109]
+    shots = source_photos.list_source_photos(tmp_path / "photos" if place == "inner" else folder)
+    assert [shot.name for shot in shots] == ["a.png", "b.jpg", "sub/a.png"]
+    assert [int(shot.read_mask()[0, 0]) for shot in shots] == [105, 109, 109]
 
 
 @pytest.mark.parametrize(
@@ -163,8 +163,8 @@ def test_masks_beside_photos_are_no_photos(tmp_path, masks):
     for name in ("a.jpg", "day/b.png", *masks):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         photo(tmp_path / name)
-    found = {shot.name: shot.mask_path for shot in source_photos.list_source_photos(tmp_path)}
-    assert found == {"a.jpg": tmp_path / masks[0], "day/b.png": tmp_path / masks[1]}
+    mask_paths = {shot.name: shot.mask_path for shot in source_photos.list_source_photos(tmp_path)}
+    assert mask_paths == {"a.jpg": tmp_path / masks[0], "day/b.png": tmp_path / masks[1]}
 
 
 def test_photos_that_are_damaged_or_whose_mask_is_are_left_out_and_named(tmp_path, capsys):
@@ -173,8 +173,8 @@ def test_photos_that_are_damaged_or_whose_mask_is_are_left_out_and_named(tmp_pat
         photo(tmp_path / name)
     for name in ("b.jpg", "masks/c.jpg.png"):
         (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:-25])
-    taken, faults = source_photos.usable_photos(tmp_path)
-    assert [shot.name for shot in taken] == ["a.jpg", "d.png"]
+    shots, faults = source_photos.usable_photos(tmp_path)
+    assert [shot.name for shot in shots] == ["a.jpg", "d.png"]
     assert [fault.name for fault in faults] == ["b.jpg", "c.jpg"]
     assert f"{tmp_path}/b.jpg: not a whole image" in faults[0].reason and "masks/c.jpg.png: not" in faults[1].reason
     assert capsys.readouterr().err == ""
@@ -265,16 +265,16 @@ def test_mattes_and_masks_are_published(tmp_path, monkeypatch):
     mask = np.full((20, 40), 255, np.uint8)
     mask[:, :20] = 0
     Image.fromarray(mask).save(photos / "masks/c.jpg.png")
-    taken = source_photos.list_source_photos(photos)
+    shots = source_photos.list_source_photos(photos)
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(
         pycolmap.Camera(camera_id=1, model="PINHOLE", width=40, height=20, params=[30.0, 30.0, 20.0, 10.0])
     )
-    for number, shot in enumerate(taken, 1):
+    for number, shot in enumerate(shots, 1):
         image = pycolmap.Image(shot.name, np.empty((0, 2)), 1, number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
     model.add_point3D(np.array([0, 0, 5.0]), pycolmap.Track(), np.zeros(3, np.uint8))
-    dataset_writer.write_dataset(model, taken, tmp_path / "scene", quietly)
+    dataset_writer.write_dataset(model, shots, tmp_path / "scene", quietly)
     frames = {frame.name: frame for frame in load_scene(tmp_path / "scene").frames}
     assert sorted(frames) == ["a.png", "a.tif.png", "b.jpg", "c.jpg"]
     np.testing.assert_array_equal(frames["a.png"].pixels().image, np.rot90(rgba[..., :3], -1))
@@ -292,15 +292,15 @@ def test_a_matte_is_undistorted_with_its_photo(tmp_path):
     (tmp_path / "photos").mkdir()
     for name in ("a.png", "b.png"):
         Image.fromarray(rgba).save(tmp_path / "photos" / name)
-    taken = source_photos.list_source_photos(tmp_path / "photos")
+    shots = source_photos.list_source_photos(tmp_path / "photos")
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(camera_id=1, model="SIMPLE_RADIAL", width=64, height=64, params=[60.0, 32.0, 32.0, -0.3])
     model.add_camera_with_trivial_rig(camera)
-    for number, shot in enumerate(taken, 1):
+    for number, shot in enumerate(shots, 1):
         image = pycolmap.Image(shot.name, np.empty((0, 2)), 1, number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
     model.add_point3D(np.array([0, 0, 5.0]), pycolmap.Track(), np.zeros(3, np.uint8))
-    dataset_writer.write_dataset(model, taken, tmp_path / "scene", quietly)
+    dataset_writer.write_dataset(model, shots, tmp_path / "scene", quietly)
     frame = load_scene(tmp_path / "scene").frames[0]
     pixels = frame.pixels()
     radius = min(np.roots([-0.3, 0, 1, -1 / 3]).real, key=lambda root: abs(root - 1 / 3))
@@ -316,10 +316,10 @@ def test_photos_are_paired_with_those_taken_next_to_them_whatever_their_names():
     longitudes = 179.999 + 1e-4 * steps
     fixes = [gps.Fix(10.0, longitude - 360 * (longitude > 180), float("nan")) for longitude in longitudes]
     silent = np.isin(steps, (7, 25))
-    chosen = pairs.nearby_pairs([None if is_silent else fix for fix, is_silent in zip(fixes, silent, strict=True)])
+    photo_pairs = pairs.nearby_pairs([None if is_silent else fix for fix, is_silent in zip(fixes, silent, strict=True)])
     apart = np.abs(steps[:, None] - steps)
     near = (apart <= 4) & ~silent[:, None] & ~silent & np.triu(np.ones((40, 40), bool), 1)
-    assert set(zip(*map(np.ndarray.tolist, np.nonzero(near)), strict=True)) <= chosen
-    assert max(apart[pair] for pair in chosen) <= 11
-    assert not any(silent[photo] for pair in chosen for photo in pair)
+    assert set(zip(*map(np.ndarray.tolist, np.nonzero(near)), strict=True)) <= photo_pairs
+    assert max(apart[pair] for pair in photo_pairs) <= 11
+    assert not any(silent[photo] for pair in photo_pairs for photo in pair)
     assert pairs.nearby_pairs([None, gps.Fix(0.0, 1.0, 0.0), None]) == set()

@@ -47,22 +47,24 @@ def test_sog_keeps_everything_to_its_steps(tmp_path_factory, gaussians):
     meta = json.loads(parts_of(path)["meta.json"])
     read = read_sog(path)
     order = morton_order(gaussians.means.astype(np.float64))
-    wanted = {field: getattr(gaussians, field)[order].astype(np.float64) for field in FIELDS}
+    expected = {field: getattr(gaussians, field)[order].astype(np.float64) for field in FIELDS}
     for field in FIELDS:
-        assert getattr(read, field).shape == wanted[field].shape
+        assert getattr(read, field).shape == expected[field].shape
         assert getattr(read, field).dtype == np.float32 and np.isfinite(getattr(read, field)).all(), field
     step = (
         np.subtract(meta["means"]["maxs"], meta["means"]["mins"]) / 65535
     )  # of ln(1 + |x|), so of x (1 + |x|) times it
-    bound = (step / 2 * (1 + 1e-3) + ROUNDING) * (1 + np.abs(wanted["means"]))
-    assert (np.abs(read.means - wanted["means"]) <= bound).all()
-    assert turns_apart(wanted["quats"], read.quats) <= 3.1 * np.sqrt(2) / 255 / 2
-    assert np.abs(expit(read.logit_opacities) - expit(wanted["logit_opacities"])).max(initial=0) <= 0.5 / 255 + 1e-6
+    bound = (step / 2 * (1 + 1e-3) + ROUNDING) * (1 + np.abs(expected["means"]))
+    assert (np.abs(read.means - expected["means"]) <= bound).all()
+    assert turns_apart(expected["quats"], read.quats) <= 3.1 * np.sqrt(2) / 255 / 2
+    assert np.abs(expit(read.logit_opacities) - expit(expected["logit_opacities"])).max(initial=0) <= 0.5 / 255 + 1e-6
     for field, part in (("log_scales", "scales"), ("sh_dc", "sh0"), ("sh_rest", "shN")):
-        if wanted[field].size:
+        if expected[field].size:
             entries = meta[part]["codebook"]
             assert (np.abs(read_part := getattr(read, field)) <= np.abs(entries).max() * (1 + 1e-6)).all()
-            assert (np.abs(read_part - wanted[field]) <= half_gaps(wanted[field], entries) + 10 * ROUNDING).all(), field
+            assert (np.abs(read_part - expected[field]) <= half_gaps(expected[field], entries) + 10 * ROUNDING).all(), (
+                field
+            )
 
 
 def test_a_codebook_is_fine_where_the_values_are_and_a_far_value_costs_one_entry():
@@ -83,10 +85,10 @@ def test_a_palette_finds_rows_that_come_again():
     random = np.random.default_rng(1)
     kinds, kind = random.normal(size=(50, 9)).astype(np.float32), random.integers(50, size=4000)
     rows = kinds[kind] + random.normal(size=(4000, 9)).astype(np.float32) * np.float32(0.01)
-    found, labels = quantization.palette(rows, 600)
-    assert len(found) <= 600
-    assert np.abs(found[labels] - rows).max() < 0.1
-    assert np.sqrt(np.mean((found[labels] - rows) ** 2)) < 0.01
+    palette, labels = quantization.palette(rows, 600)
+    assert len(palette) <= 600
+    assert np.abs(palette[labels] - rows).max() < 0.1
+    assert np.sqrt(np.mean((palette[labels] - rows) ** 2)) < 0.01
 
 
 def by_hand():

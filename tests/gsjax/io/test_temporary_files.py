@@ -19,8 +19,8 @@ def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_pat
         np.empty((0, 3), np.uint8),
     ]
     keep = ArraysOnDisk(tmp_path / "not" / "there")
-    kept = [keep(array) for array in arrays]
-    for array, one in zip(arrays, kept, strict=True):
+    copies = [keep(array) for array in arrays]
+    for array, one in zip(arrays, copies, strict=True):
         assert one.dtype == array.dtype and (isinstance(one, np.memmap) or not one.size)
         np.testing.assert_array_equal(one, array)
         assert keep(one) is one, "what lies there is not copied"
@@ -28,5 +28,5 @@ def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_pat
         if one.size:  # A copy in memory is still a memmap to numpy, and does not lie on the disk.
             assert np.may_share_memory(keep(one.copy()), keep._mapped)
     with pytest.raises(ValueError, match="read-only"):
-        kept[0][0, 0, 0] = 1
+        copies[0][0, 0, 0] = 1
     assert os.listdir(tmp_path) == [], "its files have no names, and go with the process"

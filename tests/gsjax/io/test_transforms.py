@@ -158,8 +158,8 @@ def test_the_split_that_nerfstudio_lists_is_taken_and_gives_way_to_another(tmp_p
     root = write(tmp_path, fl_x=50.0, train_filenames=listing(0, 1, 2), test_filenames=listing(4, 5))
     scene = load_scene(root)
     assert names(scene, "train_frames") == [0, 1, 2] and names(scene, "held_out_frames") == [4, 5]
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "0 of its frames are left out as bad, 3 as being in no list" in said
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "0 of its frames are left out as bad, 3 as being in no list" in message
     assert names(load_scene(root, hold_out="none"), "train_frames") == [0, 1, 2, 4, 5]
     edit(root, lambda m: m.pop("test_filenames"))
     assert names(load_scene(root), "held_out_frames") == [3, 4, 5, 6, 7]
@@ -217,8 +217,8 @@ def test_a_linked_folder_of_photos_is_named_as_if_it_were_there(tmp_path, monkey
     if absolute:
         edit(root, lambda m: [f.update(file_path=str(root / f["file_path"])) for f in m["frames"]])
     monkeypatch.chdir(tmp_path)
-    for given in ("scene", root):
-        frames = load_scene(given).frames
+    for folder in ("scene", root):
+        frames = load_scene(folder).frames
         assert [frame.name for frame in frames] == [f"{i:03d}.png" for i in range(8)]
         np.testing.assert_array_equal(frames[0].pixels().valid, mask)
 

@@ -64,8 +64,8 @@ def test_a_frame_with_a_fault_is_left_out_and_named(tmp_path, capsys, change, me
     edit(root, change)
     left = [frame.name for frame in load_scene(root).frames]
     assert set(whole) - set(left) <= {"002.png", "003.png"} and len(left) in (len(whole) - 1, len(whole) - 2)
-    told = capsys.readouterr().err
-    assert message in told and re.search("is left out(: .*)?\n", told)
+    output = capsys.readouterr().err
+    assert message in output and re.search("is left out(: .*)?\n", output)
 
 
 @pytest.mark.parametrize("size", [{}, {"w": 40, "h": 30}])
@@ -75,8 +75,8 @@ def test_a_frame_of_a_name_that_no_disk_holds_is_left_out(tmp_path, capsys, name
     whole = [frame.name for frame in load_scene(root).frames]
     edit(root, lambda m: m["frames"][3].update(file_path=name))
     assert [frame.name for frame in load_scene(root).frames] == whole[:3] + whole[4:]
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and f"1 of {len(whole)} " in told and "is left out" in told
+    output = capsys.readouterr().err
+    assert output.count("\n") == 1 and f"1 of {len(whole)} " in output and "is left out" in output
 
 
 def test_poses_for_testing_whose_pictures_were_never_rendered_are_left_out(tmp_path, capsys):

@@ -80,7 +80,7 @@ def test_a_film_that_a_full_disk_cuts_is_refused(tmp_path, monkeypatch, name, re
 
 
 @pytest.mark.parametrize(
-    ("told", "message"),
+    ("content", "message"),
     [
         ([], "the whole is a list of 0, expected a table"),
         ({"keyframes": POSES[:1]}, "1 keyframes; a path has 2 or more"),
@@ -91,8 +91,8 @@ def test_a_film_that_a_full_disk_cuts_is_refused(tmp_path, monkeypatch, name, re
         ({"keyframes": [POSES[0], POSES[1] | {"viewmat": np.eye(3).tolist()}]}, "keyframes.1.viewmat is a list of 3"),
     ],
 )  # fmt: skip
-def test_what_is_no_path_is_one_line(tmp_path, told, message):
-    (tmp_path / "path.json").write_text(json.dumps(told))
+def test_what_is_no_path_is_one_line(tmp_path, content, message):
+    (tmp_path / "path.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=rf"path.json: {message}"):
         read_keyframes(tmp_path / "path.json")
 

@@ -74,10 +74,10 @@ def test_no_two_triangles_overlap(laid_out):
 
 def test_texels_are_those_that_a_triangle_covers_and_show_its_points(mesh, laid_out):
     texels = texels_of(mesh, laid_out)
-    found = np.zeros(SIZE * SIZE, int)
-    np.add.at(found, texels.where, 1)
-    assert found.max() == 1, "a texel twice"
-    assert np.all(found.reshape(SIZE, SIZE)[strictly_covered(texel_corners(laid_out)) == 1] == 1)
+    counts = np.zeros(SIZE * SIZE, int)
+    np.add.at(counts, texels.where, 1)
+    assert counts.max() == 1, "a texel twice"
+    assert np.all(counts.reshape(SIZE, SIZE)[strictly_covered(texel_corners(laid_out)) == 1] == 1)
     assert set(texels.faces) == set(range(mesh.num_faces)) or laid_out.num_charts < mesh.num_faces
 
     # The point's barycentrics, from three dimensions, lead back to the texel's centre.

@@ -31,8 +31,8 @@ def test_the_surface_stays_closed_and_where_it_was(ball_mesh):
     halved = bisect_triangles(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
     assert 4 * ball_mesh.num_faces - 1 <= halved.num_faces <= 4 * ball_mesh.num_faces
     assert edge_table(halved.faces).faces.max() == 2
-    found, before = topology(halved), topology(ball_mesh)
-    assert found == before and found.watertight and found.oriented
+    after, before = topology(halved), topology(ball_mesh)
+    assert after == before and after.watertight and after.oriented
     assert signed_volume(halved) == pytest.approx(signed_volume(ball_mesh), rel=1e-5)
     np.testing.assert_array_equal(halved.vertices[: ball_mesh.num_vertices], ball_mesh.vertices)
     away = np.linalg.norm(halved.vertices - closest_on_mesh(ball_mesh, halved.vertices)[0], axis=1)
@@ -43,7 +43,7 @@ def test_triangles_are_smaller_where_weights_are_larger(ball_mesh):
     place = ball_mesh.vertices[0]
     halved = bisect_triangles(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
     distance = np.linalg.norm(halved.vertices[halved.faces].mean(axis=1) - place, axis=1)
-    near, far = (np.median(areas(halved)[chosen]) for chosen in (distance < 0.4, distance > 1.5))
+    near, far = (np.median(areas(halved)[mask]) for mask in (distance < 0.4, distance > 1.5))
     assert near < far / 8
     # As even as halves allow: by a factor of two, and by neighbours that are halved along.
     assert weights_at(halved, place).max() < 4 * np.sort(weights_at(halved, place))[-halved.num_faces // 3]

@@ -42,10 +42,10 @@ def test_small_pieces_go_by_their_share():
     assert (report.small_components, report.small_component_faces) == (1, 4)
     assert topology(result).components == 1
     assert result.num_vertices == 400
-    kept, report = clean(both, min_component_share=0.001)
+    lenient_result, report = clean(both, min_component_share=0.001)
     assert report.small_components == 0
-    assert topology(kept).components == 2
-    assert kept.num_faces == 726
+    assert topology(lenient_result).components == 2
+    assert lenient_result.num_faces == 726
 
 
 def test_decimation_keeps_shape_and_colour():

@@ -19,8 +19,8 @@ def test_distances_are_those_of_a_search_through_all_triangles_in_float64(at):
     every = np.stack([trimesh.triangles.closest_point(corners, np.repeat(q[None], len(corners), 0)) for q in queries])
     expected = np.linalg.norm(every - queries[:, None], axis=2)
     points, triangles = closest_on_mesh(mesh, queries)
-    found = np.linalg.norm(points - queries, axis=1)
-    assert np.abs(found - expected.min(axis=1)).max() < 1e-6
+    distances = np.linalg.norm(points - queries, axis=1)
+    assert np.abs(distances - expected.min(axis=1)).max() < 1e-6
     np.testing.assert_allclose(expected[np.arange(300), triangles], expected.min(axis=1), atol=1e-6)
 
 

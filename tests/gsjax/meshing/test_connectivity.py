@@ -7,9 +7,9 @@ from gsjax.scene.meshes import Mesh
 
 
 def test_a_tetrahedron_is_closed_and_faces_outwards():
-    found = topology(tetrahedron())
-    assert (found.components, found.boundary_loops, found.boundary_length, found.largest_hole) == (1, 0, 0, 0)
-    assert found.watertight and found.oriented and not found.inside_out
+    report = topology(tetrahedron())
+    assert (report.components, report.boundary_loops, report.boundary_length, report.largest_hole) == (1, 0, 0, 0)
+    assert report.watertight and report.oriented and not report.inside_out
     table = edge_table(tetrahedron().faces)
     assert table.pairs.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
     assert table.faces.tolist() == [2] * 6
@@ -28,15 +28,15 @@ def test_inside_out_and_one_turned_face():
 def test_holes_are_loops_with_lengths():
     mesh = square(8, without={(2, 2), (5, 4), (6, 4)})
     np.testing.assert_allclose(boundary_loops(mesh, edge_table(mesh.faces)), [32, 6, 4])
-    found = topology(mesh)
-    assert (found.boundary_loops, found.boundary_length, found.largest_hole) == (3, 42, 32)
-    assert not found.watertight
+    report = topology(mesh)
+    assert (report.boundary_loops, report.boundary_length, report.largest_hole) == (3, 42, 32)
+    assert not report.watertight
 
 
 def test_the_border_is_the_vertices_at_which_a_mesh_ends():
-    found = border(square(5, without={(2, 2)}))
+    vertices = border(square(5, without={(2, 2)}))
     rim = [(x, y, 0) for x in range(6) for y in range(6) if x in (0, 5) or y in (0, 5)]
-    assert set(map(tuple, found.tolist())) == {*rim, (2, 2, 0), (3, 2, 0), (2, 3, 0), (3, 3, 0)}
+    assert set(map(tuple, vertices.tolist())) == {*rim, (2, 2, 0), (3, 2, 0), (2, 3, 0), (3, 3, 0)}
     assert border(tetrahedron()).shape == (0, 3)
 
 

@@ -50,10 +50,10 @@ def in_lump(x):
     return (LUMP[0] < across) & (across < LUMP[1]) & (LUMP[0] < up) & (up < LUMP[1])
 
 
-def agreed(xs, pictures, told=None, *, counts=False):
+def agreed(xs, pictures, stereo=None, *, counts=False):
     cameras = [camera(x) for x in xs]
-    shown = list(map(coarse_depth, cameras, pictures))
-    return list(consistent_pictures(cameras, pictures, shown, told or {}, stereo_counts=counts))
+    coarse_views = list(map(coarse_depth, cameras, pictures))
+    return list(consistent_pictures(cameras, pictures, coarse_views, stereo or {}, stereo_counts=counts))
 
 
 XS = APART * np.arange(-2, 3)
@@ -74,13 +74,13 @@ def test_a_lump_that_others_look_through_goes(showing):
     """Three of five views that show it are half of the four others: less than `SHARE`."""
     assert SHARE > 0.5
     pictures = [picture(x, lump=index < showing) for index, x in enumerate(XS)]
-    found = agreed(XS, pictures)
-    for x, old, new in zip(XS[:showing], pictures, found, strict=False):
+    results = agreed(XS, pictures)
+    for x, old, new in zip(XS[:showing], pictures, results, strict=False):
         assert old.depth[in_lump(x)].max() == NEARER
         assert not new.depth[in_lump(x)].any()
     middle = places(0.0, WALL)[0]
     beside = (np.abs(middle) > 1) & (np.abs(middle) < 2)
-    np.testing.assert_array_equal(found[2].depth[beside], WALL)
+    np.testing.assert_array_equal(results[2].depth[beside], WALL)
 
 
 def test_a_lump_that_all_show_stays():
@@ -130,9 +130,9 @@ def test_stereo_depth_confirms_what_no_other_view_shows(off, stays):
 
 def test_the_mesh_of_a_ball_is_a_ball(ball):
     cameras, pictures = ball.views
-    shown = list(map(coarse_depth, cameras, pictures))
+    coarse_views = list(map(coarse_depth, cameras, pictures))
     fusion = tsdf(smoothed_depth_normals, voxel=0.06)
-    method = of_consistent_depth(fusion, rendered=shown, stereo={}, stereo_counts=False)
+    method = of_consistent_depth(fusion, rendered=coarse_views, stereo={}, stereo_counts=False)
     mesh, report = extract_mesh(ball.gaussians, cameras, pictures, method=method)
     assert np.quantile(np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1), 0.99) < 0.05
     assert report["seen"]["photos_that_tell"] == 0

@@ -49,9 +49,9 @@ def test_density_is_the_papers_sum():
     gaussians = random_gaussians(16)
     points = np.random.default_rng(1).normal(size=(20, 3)).astype(np.float32)
     field = kernels(gaussians)
-    found = jax.vmap(density, (0, None))(jnp.asarray(points), field)
+    densities = jax.vmap(density, (0, None))(jnp.asarray(points), field)
     expected = [density_in_numpy(p.astype(np.float64), gaussians) for p in points]
-    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-7)
+    np.testing.assert_allclose(densities, expected, rtol=2e-4, atol=1e-7)
 
 
 def test_gradient_by_finite_differences_of_the_numpy_sum():
@@ -62,8 +62,8 @@ def test_gradient_by_finite_differences_of_the_numpy_sum():
         / (2 * step)
         for axis in np.eye(3)
     ]
-    found = density_gradient(jnp.asarray(point, jnp.float32), kernels(gaussians))
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+    gradient = density_gradient(jnp.asarray(point, jnp.float32), kernels(gaussians))
+    np.testing.assert_allclose(gradient, expected, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -99,10 +99,10 @@ def test_profile_along_a_ray_is_the_density_there():
         direction = jnp.asarray(direction / np.linalg.norm(direction), jnp.float32)
         distances = jnp.linspace(-3, 3, 50, dtype=jnp.float32)
         profile = density_field.along_ray(origin, direction, field)
-        found = jax.vmap(density_field.profile_density, (0, None))(distances, profile)
+        densities = jax.vmap(density_field.profile_density, (0, None))(distances, profile)
         points = origin[None, :] + distances[:, None] * direction[None, :]
         expected = jax.vmap(density, (0, None))(points, field)
-        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(densities, expected, rtol=1e-4, atol=1e-6)
 
 
 def test_profile_of_one_gaussian_in_closed_form():

@@ -26,11 +26,11 @@ def ball_mesh(ball):
 
 def test_ball_becomes_one_closed_outward_sphere(ball_mesh):
     mesh, report = ball_mesh
-    found = report["topology"]
-    assert found["components"] == 1
-    assert found["watertight"]
-    assert found["oriented"]
-    assert not found["inside_out"]
+    properties = report["topology"]
+    assert properties["components"] == 1
+    assert properties["watertight"]
+    assert properties["oriented"]
+    assert not properties["inside_out"]
     assert report["facing_share"] == 1
     assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.05)
     assert np.abs(mesh.colors.astype(int) - [255, 128, 0]).max() <= 2
@@ -43,10 +43,10 @@ def test_ball_becomes_one_closed_outward_sphere(ball_mesh):
 def test_ball_on_ground_renders_to_the_depth_it_came_from(ball_on_ground):
     mesh, _ = extract_mesh(ball_on_ground.gaussians, *ball_on_ground.views, method=through(12_000, depth=7))
     camera, depth = ball_on_ground.cameras[0], ball_on_ground.depths[0]
-    found = depth_of_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height)
-    both = (found > 0) & (depth > 0)
+    mesh_depth = depth_of_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height)
+    both = (mesh_depth > 0) & (depth > 0)
     assert both.sum() > 0.85 * (depth > 0).sum()
-    assert np.median(np.abs(found - depth)[both]) < 0.02
+    assert np.median(np.abs(mesh_depth - depth)[both]) < 0.02
 
 
 def test_a_given_box_is_taken_as_it_is(ball):
@@ -110,8 +110,8 @@ def test_without_pictures_it_draws_what_the_method_looks_at(ball):
     plain = replace(view_dependent, sh_rest=jnp.zeros_like(view_dependent.sh_rest))
     expected = gallery.pictures(plain, ball.cameras[:2], np.zeros(3), with_owners=True)
     for picture, same in zip(looked_at, expected, strict=True):
-        for part, wanted in zip(picture, same, strict=True):
-            np.testing.assert_array_equal(part, wanted)
+        for part, expected_part in zip(picture, same, strict=True):
+            np.testing.assert_array_equal(part, expected_part)
 
 
 def test_pictures_without_owners_and_no_camera_are_one_line(ball):

@@ -35,29 +35,29 @@ def views(count=3):
 
 def test_a_hole_is_closed_where_views_show_a_surface():
     mesh = sheet()
-    found, report = fill_holes(mesh, views())
-    assert (report.patches, report.closed, report.closed_faces) == (3, 1, found.num_faces - mesh.num_faces)
-    added = face_area_vectors(Mesh(mesh.vertices, found.faces[mesh.num_faces :], mesh.colors))
+    result, report = fill_holes(mesh, views())
+    assert (report.patches, report.closed, report.closed_faces) == (3, 1, result.num_faces - mesh.num_faces)
+    added = face_area_vectors(Mesh(mesh.vertices, result.faces[mesh.num_faces :], mesh.colors))
     np.testing.assert_allclose(added.sum(axis=0), [0, 0, 9], atol=1e-4)
-    middles = mesh.vertices[found.faces[mesh.num_faces :]].mean(axis=1)[:, :2]
+    middles = mesh.vertices[result.faces[mesh.num_faces :]].mean(axis=1)[:, :2]
     assert ((middles > 6) & (middles < 9)).all()
-    before, after = topology(mesh), topology(found)
+    before, after = topology(mesh), topology(result)
     assert (before.boundary_loops, after.boundary_loops) == (4, 3)
     assert after.oriented
 
 
 def test_a_sheet_without_holes_stays():
     mesh = sheet(())
-    found, report = fill_holes(mesh, views())
-    assert found is mesh
+    result, report = fill_holes(mesh, views())
+    assert result is mesh
     assert report.patches == 0
 
 
 def test_a_torn_sheet_gets_no_edge_with_three_triangles():
-    shown = [view._replace(depth=np.full((SIDE, SIDE), AWAY, np.float32)) for view in views()]
+    far_views = [view._replace(depth=np.full((SIDE, SIDE), AWAY, np.float32)) for view in views()]
     whole = sheet(())
     torn = replace(whole, faces=whole.faces[np.random.default_rng(1).random(whole.num_faces) > 0.4])
-    found, report = fill_holes(torn, shown)
+    result, report = fill_holes(torn, far_views)
     assert 0 < report.closed < report.patches, "one of the patches has an edge that the sheet has"
-    assert topology(torn).oriented and topology(found).oriented
-    assert topology(found).boundary_loops < topology(torn).boundary_loops
+    assert topology(torn).oriented and topology(result).oriented
+    assert topology(result).boundary_loops < topology(torn).boundary_loops

@@ -87,11 +87,11 @@ def test_ball_gives_points_on_the_sphere_with_outward_normals(ball):
 def test_points_lie_on_the_rays_of_pixel_centres(ball):
     surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=500))
     camera = ball.cameras[3]
-    seen = surface.points[surface.view_ids == 3]
+    points = surface.points[surface.view_ids == 3]
     pixels = np.stack(
-        [cameras.project(jnp.asarray(camera.viewmat[:3, :3] @ p + camera.viewmat[:3, 3]), camera) for p in seen]
+        [cameras.project(jnp.asarray(camera.viewmat[:3, :3] @ p + camera.viewmat[:3, 3]), camera) for p in points]
     )
-    assert len(seen) > 10
+    assert len(points) > 10
     np.testing.assert_allclose(pixels % 1, 0.5, atol=2e-3)
 
 

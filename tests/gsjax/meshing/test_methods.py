@@ -69,10 +69,10 @@ def test_depth_is_fused_where_it_has_a_normal_that_faces_the_camera(ball):
     rows, columns = np.mgrid[: size[0], : size[1]]
     rays = np.stack([columns + 0.5, rows + 0.5, np.ones(size)], -1) @ np.linalg.inv(np.asarray(camera.K, np.float64)).T
     facing = -np.sum(rays * normals_of(None, None, None), axis=-1) / np.linalg.norm(rays, axis=-1)
-    found = np.zeros(size, bool)
-    found[np.floor(pixels[:, 1]).astype(int), np.floor(pixels[:, 0]).astype(int)] = True
-    np.testing.assert_array_equal(found, facing > LEAST_FACING)
-    assert 0.2 < found.mean() < 0.3
+    is_fused = np.zeros(size, bool)
+    is_fused[np.floor(pixels[:, 1]).astype(int), np.floor(pixels[:, 0]).astype(int)] = True
+    np.testing.assert_array_equal(is_fused, facing > LEAST_FACING)
+    assert 0.2 < is_fused.mean() < 0.3
 
 
 def test_a_depth_without_normals_has_no_surface(ball):

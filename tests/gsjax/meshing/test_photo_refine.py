@@ -56,9 +56,9 @@ def test_a_sheet_beside_the_plane_comes_to_lie_in_it(frames, offset):
 def test_photos_may_be_lighter_and_darker(frames):
     darker = [photo(eye, gain=gain) for eye, gain in zip(EYES, (1.0, 0.6, 0.8, 1.1, 0.9, 0.7), strict=True)]
     expected, _ = refine_on_photos(sheet(0.6 * PIXEL), frames)
-    found, report = refine_on_photos(sheet(0.6 * PIXEL), darker)
+    result, report = refine_on_photos(sheet(0.6 * PIXEL), darker)
     assert report["after"] < 0.3 < 10 < report["before"]  # Of 255: what rounding to 8 bits leaves.
-    np.testing.assert_allclose(found.vertices, expected.vertices, atol=0.1 * PIXEL)
+    np.testing.assert_allclose(result.vertices, expected.vertices, atol=0.1 * PIXEL)
 
 
 def test_where_photos_say_nothing_a_sheet_stays():

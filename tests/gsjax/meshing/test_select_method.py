@@ -12,7 +12,7 @@ from gsjax.scene.meshes import Mesh
 EMPTY = np.zeros((0, 3))
 
 
-def chosen(margin=0.05, **shares: Any):
+def choice(margin=0.05, **shares: Any):
     """The choice among methods whose meshes agree by these shares; None: the method finds no surface."""
     meshes = {name: Mesh(EMPTY, EMPTY.astype(np.int32), EMPTY.astype(np.uint8)) for name in shares}
     says = {id(mesh): shares[name] for name, mesh in meshes.items()}
@@ -23,21 +23,21 @@ def chosen(margin=0.05, **shares: Any):
         return meshes[name]
 
     methods = {name: lambda name=name: extract(name) for name in shares}
-    found = select_method(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin))
-    assert {name: one["agrees"] for name, one in found.judgements.items()} == {
+    selection = select_method(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin))
+    assert {name: one["agrees"] for name, one in selection.judgements.items()} == {
         name: share for name, share in shares.items() if share is not None
     }
-    return found.method
+    return selection.method
 
 
 def test_the_usual_mesh_stays_unless_another_agrees_clearly_more():
-    assert chosen(usual=0.5, other=0.54) == "usual"
-    assert chosen(usual=0.5, other=0.56) == "other"
-    assert chosen(usual=0.5, other=0.56, best=0.57, worse=0.4) == "best"
-    assert chosen(usual=0.5, other=0.51, margin=0.0) == "other"
+    assert choice(usual=0.5, other=0.54) == "usual"
+    assert choice(usual=0.5, other=0.56) == "other"
+    assert choice(usual=0.5, other=0.56, best=0.57, worse=0.4) == "best"
+    assert choice(usual=0.5, other=0.51, margin=0.0) == "other"
 
 
 def test_what_finds_no_surface_is_passed_by():
-    assert chosen(usual=None, other=0.2, third=0.24) == "other"
+    assert choice(usual=None, other=0.2, third=0.24) == "other"
     with pytest.raises(InputError, match="first finds nothing"):
-        chosen(first=None, second=None)
+        choice(first=None, second=None)

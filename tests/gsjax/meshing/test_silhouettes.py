@@ -44,17 +44,17 @@ def test_shares_are_those_of_circles(radius, half, every, monkeypatch):
     mesh, matte = outline(radius) & usable, outline(1.0) & usable
     either = np.sum(mesh | matte)
     expected = [np.sum(part) / either for part in (mesh & matte, mesh & ~matte, matte & ~mesh)]
-    seen = silhouettes_of(scene(photos(3, valid if half else None)))
-    assert seen[0].is_object.shape == (len(range(every // 2, SIZE, every)),) * 2
-    found = overlap(ball(5, radius), seen)
-    np.testing.assert_allclose(found, expected, atol=0.006)
-    assert sum(found) == pytest.approx(1)
+    outlines = silhouettes_of(scene(photos(3, valid if half else None)))
+    assert outlines[0].is_object.shape == (len(range(every // 2, SIZE, every)),) * 2
+    shares = overlap(ball(5, radius), outlines)
+    np.testing.assert_allclose(shares, expected, atol=0.006)
+    assert sum(shares) == pytest.approx(1)
 
 
 def test_photos_are_chosen_evenly_and_all_must_have_a_matte():
     many = photos(60)
-    chosen = [outline.viewmat for outline in silhouettes_of(scene(many))]
-    indices = [next(i for i, frame in enumerate(many) if frame.viewmat is viewmat) for viewmat in chosen]
+    viewmats = [outline.viewmat for outline in silhouettes_of(scene(many))]
+    indices = [next(i for i, frame in enumerate(many) if frame.viewmat is viewmat) for viewmat in viewmats]
     assert len(indices) == MOST_PHOTOS
     assert (indices[0], indices[-1]) == (0, 59)
     assert set(np.diff(indices)) == {2, 3}

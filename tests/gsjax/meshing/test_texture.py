@@ -80,17 +80,17 @@ def seen_of(mesh, views, pictures, size=40):
 def test_a_pattern_on_a_plane_comes_back_from_views_at_an_angle():
     mesh = wall(per_side=4)
     views = [camera(eye) for eye in ((1, 0.5, 2.5), (-1, 1, 2.2), (0, -1.5, 2.4), (0.3, 0.2, 2.0))]
-    shown = [on_plane(view, 0.0) for view in views]
-    pictures = [picture(pattern(xy), depth) for xy, depth in shown]
+    plane_maps = [on_plane(view, 0.0) for view in views]
+    pictures = [picture(pattern(xy), depth) for xy, depth in plane_maps]
     textured, report = texture_mesh(mesh, views, iter(pictures), size=128, unwrap=cells)
     texels = texels_of(mesh, textured.atlas)
-    found = textured.texture.reshape(-1, 3)[texels.where] / 255
+    texel_colors = textured.texture.reshape(-1, 3)[texels.where] / 255
     is_seen = np.any(textured.texture.reshape(-1, 3)[texels.where] != UNSEEN, axis=-1)
     assert report["seen_share"] == pytest.approx(is_seen.mean(), abs=1e-3)
     assert report["texels"] == len(texels.where)
     inner = np.abs(texels.points[:, :2]).max(axis=1) < 0.9
     assert is_seen[inner].all()
-    error = np.abs(found - pattern(texels.points[:, :2]))[inner]
+    error = np.abs(texel_colors - pattern(texels.points[:, :2]))[inner]
     # A pixel is 0.025 wide: straight lines between pixels miss a wave by (9 * 0.025)^2 / 8 * 0.4 = 0.0025, and as much
     # along the slant; rounding to bytes adds 0.002.
     assert error.max() < 0.012
@@ -123,11 +123,11 @@ def test_views_count_by_the_pixels_that_a_unit_of_surface_covers():
     mesh = wall(half=0.05)
     views = [camera((0, 0, 2.0)), camera((0, 0, 4.0)), camera((0, 3.0, 3.0))]
     colors = np.eye(3)
-    _, found, is_seen = seen_of(mesh, views, [picture(color) for color in colors], size=9)
+    _, texel_colors, is_seen = seen_of(mesh, views, [picture(color) for color in colors], size=9)
     weights = np.array([1 / 2**2, 1 / 4**2, np.sqrt(0.5) / 18])
     assert is_seen.reshape(9, 9)[4, 4]
     assert_close(
-        found.reshape(9, 9, 3)[4, 4] / 255,
+        texel_colors.reshape(9, 9, 3)[4, 4] / 255,
         weights / weights.sum(),
         rtol=0,
         atol=0.004,
@@ -136,16 +136,16 @@ def test_views_count_by_the_pixels_that_a_unit_of_surface_covers():
 
 
 @pytest.mark.parametrize(
-    ("name", "shown"),
+    ("name", "make_picture"),
     [
         ("nothing much is there", lambda depth: picture([1, 0, 0], alphas=np.full_like(depth, 0.4))),
         ("haze floats before it", lambda depth: picture([1, 0, 0], 0.8 * depth)),
     ],
 )
-def test_pictures_that_do_not_show_the_surface_are_left_out(name, shown):
+def test_pictures_that_do_not_show_the_surface_are_left_out(name, make_picture):
     mesh, view = wall(), camera((0.2, 0.3, 3.0))
     depth = on_plane(view, 0.0)[1]
-    assert not seen_of(mesh, [view], [shown(depth)])[2].any(), name
+    assert not seen_of(mesh, [view], [make_picture(depth)])[2].any(), name
     assert seen_of(mesh, [view], [picture([1, 0, 0], 0.97 * depth)])[2].any()
 
 

@@ -36,7 +36,7 @@ def photographed(off=0.0):
     middles = np.repeat([-3.0, -1, 1, 3], list(PARTS.values()))
     x = np.r_[middles, np.full(40, -1.0)] + rng.uniform(-0.05, 0.05, 140)
     points = np.stack([x, rng.uniform(-1, 1, 140), np.full(140, AWAY)], -1)
-    K, frames, seen = np.array([[100.0, 0, 100], [0, 100, 100], [0, 0, 1]], np.float32), [], []
+    K, frames, observations = np.array([[100.0, 0, 100], [0, 100, 100], [0, 0, 1]], np.float32), [], []
     for index in range(PHOTOS):
         viewmat = np.eye(4, dtype=np.float32)
         viewmat[0, 3] = 0.1 * index
@@ -44,8 +44,8 @@ def photographed(off=0.0):
         ids = np.arange(140 if index < 2 else 120)
         rays = (points[ids, :2] + viewmat[:2, 3]) / AWAY + rng.normal(0, 0.005, (len(ids), 2))
         rays[100:120] += 0.5
-        seen.append((np.full(len(ids), index), ids, rays))
-    photo, point, rays = (np.concatenate(column) for column in zip(*seen, strict=True))
+        observations.append((np.full(len(ids), index), ids, rays))
+    photo, point, rays = (np.concatenate(column) for column in zip(*observations, strict=True))
     names = tuple(frame.name for frame in frames)
     tracks = Tracks(names, photo.astype(np.int32), point.astype(np.int32), rays.astype(np.float32))
     return Scene(

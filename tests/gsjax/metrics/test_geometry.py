@@ -29,21 +29,21 @@ def test_samples_lie_on_the_surface_evenly_by_area():
 
 def test_comparing_a_mesh_with_its_own_samples_is_near_perfect():
     truth, normals = geometry.sample_surface(box(), 20_000, seed=1)
-    found = geometry.compare_to_truth(box(), truth, normals, samples=20_000)
-    assert found["threshold"] == pytest.approx(0.01 * np.sqrt(3), rel=1e-3)
+    scores = geometry.compare_to_truth(box(), truth, normals, samples=20_000)
+    assert scores["threshold"] == pytest.approx(0.01 * np.sqrt(3), rel=1e-3)
     # Nearest neighbours of a random pattern: a share exp(-pi r^2 density) has none within r.
-    assert found["fscore"] == pytest.approx(1 - np.exp(-np.pi * found["threshold"] ** 2 * 20_000 / 6), abs=0.01)
-    assert tuple(found) == geometry.SCORES
-    assert found["chamfer"] < 0.01  # The mean gap of samples at that density.
-    assert found["chamfer"] == pytest.approx((found["accuracy"] + found["completeness"]) / 2)
-    assert found["normal_consistency"] > 0.98  # Beside an edge the nearest sample may lie round the corner.
+    assert scores["fscore"] == pytest.approx(1 - np.exp(-np.pi * scores["threshold"] ** 2 * 20_000 / 6), abs=0.01)
+    assert tuple(scores) == geometry.SCORES
+    assert scores["chamfer"] < 0.01  # The mean gap of samples at that density.
+    assert scores["chamfer"] == pytest.approx((scores["accuracy"] + scores["completeness"]) / 2)
+    assert scores["normal_consistency"] > 0.98  # Beside an edge the nearest sample may lie round the corner.
 
 
 def test_a_grown_box_is_off_by_what_it_grew():
     truth, normals = geometry.sample_surface(box(), 20_000, seed=1)
-    found = geometry.compare_to_truth(box((1.1, 1.1, 1.1)), truth, normals, threshold=0.2)
-    assert found["chamfer"] == pytest.approx(0.05, rel=0.15)
-    assert found["fscore"] == 1.0
+    scores = geometry.compare_to_truth(box((1.1, 1.1, 1.1)), truth, normals, threshold=0.2)
+    assert scores["chamfer"] == pytest.approx(0.05, rel=0.15)
+    assert scores["fscore"] == 1.0
 
 
 def test_surface_where_the_truth_has_no_samples_does_not_count():
@@ -69,31 +69,31 @@ def test_a_mesh_away_from_the_truth_is_refused():
 def seen_of_box(count=5_000):
     """Samples of the unit box but its underside, and their normals."""
     points, normals = geometry.sample_surface(box(), count, seed=1)
-    seen = normals[:, 2] > -0.5
-    return points[seen], normals[seen]
+    is_visible = normals[:, 2] > -0.5
+    return points[is_visible], normals[is_visible]
 
 
 def test_the_true_surface_scores_zero_however_few_its_points():
-    found = geometry.compare_to_surface(box(), box(), *seen_of_box(500), closest_on_mesh, samples=5_000)
-    assert found["chamfer"] < 1e-7
-    assert {found[f"fscore{share}"] for share in ("", "_quarter", "_half", "_double")} == {1.0}
+    scores = geometry.compare_to_surface(box(), box(), *seen_of_box(500), closest_on_mesh, samples=5_000)
+    assert scores["chamfer"] < 1e-7
+    assert {scores[f"fscore{share}"] for share in ("", "_quarter", "_half", "_double")} == {1.0}
     # On an edge either of its two triangles may be nearest; both have the same samples, of one face each.
-    assert found["normal_consistency"] == pytest.approx(1.0, abs=1e-6)
-    assert found["outward_share"] == 1.0
-    assert found["threshold"] == pytest.approx(0.01 * np.sqrt(3), rel=0.01)
+    assert scores["normal_consistency"] == pytest.approx(1.0, abs=1e-6)
+    assert scores["outward_share"] == 1.0
+    assert scores["threshold"] == pytest.approx(0.01 * np.sqrt(3), rel=0.01)
 
 
 def test_from_point_to_surface_a_grown_box_is_off_by_what_it_grew():
     grown = box((1.1, 1.1, 1.1))
-    found = geometry.compare_to_surface(grown, box(), *seen_of_box(), closest_on_mesh, threshold=0.06)
-    assert found["completeness"] == pytest.approx(0.05, abs=1e-6)
+    scores = geometry.compare_to_surface(grown, box(), *seen_of_box(), closest_on_mesh, threshold=0.06)
+    assert scores["completeness"] == pytest.approx(0.05, abs=1e-6)
     # Of a side of 1.1, the middle 1.0 lies straight above the box; round it, edges are up to 0.05 further aside. Of the
     # underside, only that rim is near what was seen.
     x = np.maximum(np.abs(np.linspace(-0.55, 0.55, 1101)) - 0.5, 0)
-    assert found["accuracy"] == pytest.approx(np.sqrt(x[:, None] ** 2 + x**2 + 0.05**2).mean(), rel=5e-3)
-    assert (found["recall"], found["fscore_double"]) == (1.0, 1.0)
-    assert (found["fscore_quarter"], found["fscore_half"]) == (0.0, 0.0)  # nothing is within 0.03
-    assert found["normal_consistency"] > 0.9  # Of a sample outside an edge, either side of the box is nearest.
+    assert scores["accuracy"] == pytest.approx(np.sqrt(x[:, None] ** 2 + x**2 + 0.05**2).mean(), rel=5e-3)
+    assert (scores["recall"], scores["fscore_double"]) == (1.0, 1.0)
+    assert (scores["fscore_quarter"], scores["fscore_half"]) == (0.0, 0.0)  # nothing is within 0.03
+    assert scores["normal_consistency"] > 0.9  # Of a sample outside an edge, either side of the box is nearest.
 
 
 def test_what_is_nearest_to_a_side_that_no_camera_saw_does_not_count():
@@ -128,30 +128,30 @@ def test_normal_error_of_known_rotations():
     rendered[1, 0] = 0  # Nothing rendered.
     mask = np.ones((2, 3), bool)
     mask[1, 1] = False
-    found = geometry.normal_error_degrees(rendered, true, mask)
-    assert found["count"] == 4
-    assert found["mean"] == pytest.approx((0 + np.degrees(0.5) + 180 + 90) / 4)
-    assert found["median"] == pytest.approx((np.degrees(0.5) + 90) / 2)
+    error = geometry.normal_error_degrees(rendered, true, mask)
+    assert error["count"] == 4
+    assert error["mean"] == pytest.approx((0 + np.degrees(0.5) + 180 + 90) / 4)
+    assert error["median"] == pytest.approx((np.degrees(0.5) + 90) / 2)
 
 
 def test_tiny_angles_survive():
     true = np.array([[[0.0, 0.0, 1.0]]])
     rendered = np.array([[[1e-6, 0.0, 1.0]]])
-    found = geometry.normal_error_degrees(rendered, true, np.ones((1, 1), bool))
-    assert found["mean"] == pytest.approx(np.degrees(1e-6), rel=1e-6)
+    error = geometry.normal_error_degrees(rendered, true, np.ones((1, 1), bool))
+    assert error["mean"] == pytest.approx(np.degrees(1e-6), rel=1e-6)
 
 
 def test_normal_error_over_nothing_is_nan_with_count_zero():
-    found = geometry.normal_error_degrees(np.ones((2, 2, 3)), np.ones((2, 2, 3)), np.zeros((2, 2), bool))
-    assert found["count"] == 0
-    assert np.isnan(found["mean"])
+    error = geometry.normal_error_degrees(np.ones((2, 2, 3)), np.ones((2, 2, 3)), np.zeros((2, 2), bool))
+    assert error["count"] == 0
+    assert np.isnan(error["mean"])
 
 
 def test_a_surface_that_is_inside_out_is_as_near_and_as_steep_but_not_outward():
-    seen = geometry.sample_surface(box(), 5_000, seed=1)
+    truth_samples = geometry.sample_surface(box(), 5_000, seed=1)
     for right, wrong in (
-        [geometry.compare_to_surface(mesh, box(), *seen, closest_on_mesh) for mesh in (box(), turned(box()))],
-        [geometry.compare_to_truth(mesh, *seen) for mesh in (box(), turned(box()))],
+        [geometry.compare_to_surface(mesh, box(), *truth_samples, closest_on_mesh) for mesh in (box(), turned(box()))],
+        [geometry.compare_to_truth(mesh, *truth_samples) for mesh in (box(), turned(box()))],
     ):
         assert right["outward_share"] > 0.97 and wrong["outward_share"] < 0.03
         assert wrong["normal_consistency"] == pytest.approx(right["normal_consistency"], abs=0.01)

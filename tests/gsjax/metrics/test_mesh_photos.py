@@ -41,9 +41,9 @@ def decibels(difference: float) -> float:
 
 def test_both_are_scored_at_the_pixels_that_the_mesh_covers(nothing):
     scores = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", PhotoEffects())
-    shown = round(0.5 * 255) / 255
-    assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - shown), abs=1e-3)
-    assert scores["covered_psnr"] == pytest.approx(decibels(shown), abs=1e-3), "black where there are no Gaussians"
+    level = round(0.5 * 255) / 255
+    assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - level), abs=1e-3)
+    assert scores["covered_psnr"] == pytest.approx(decibels(level), abs=1e-3), "black where there are no Gaussians"
     assert scores["mesh_covers"] == pytest.approx(24 * 20 / (HEIGHT * WIDTH)), "half-covered pixels do not count"
     assert scores["mesh_ssim"] > scores["covered_ssim"]
 
@@ -61,9 +61,9 @@ def test_a_matte_has_the_same_background_for_both(nothing):
     image, matte = np.full((HEIGHT, WIDTH, 3), 51, np.uint8), np.full((HEIGHT, WIDTH), 102, np.uint8)
     frame = frame_of("held.png", np.eye(4, dtype=np.float32), K, Pixels(image, matte=matte), held_out=True)
     scores = score_appearance(square(2.0), vertex_colors, nothing, (frame,), "white", PhotoEffects())
-    shown = 0.2 * 0.4 + 0.6
-    assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - shown), abs=1e-3)
-    assert scores["covered_psnr"] == pytest.approx(decibels(1 - shown), abs=1e-3)
+    level = 0.2 * 0.4 + 0.6
+    assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - level), abs=1e-3)
+    assert scores["covered_psnr"] == pytest.approx(decibels(1 - level), abs=1e-3)
 
 
 def test_a_photo_is_compared_as_those_near_it_are_exposed(nothing):

@@ -42,8 +42,8 @@ def ball_before_a_wall(center=(0.1, -0.1, 3.0), radius=0.7, wall=6.0):
 
 def photo(depth):
     """What the network turns into `(1 / depth - SHIFT) / SCALE`."""
-    seen = np.rint(65535 * (1 / depth - SHIFT) / SCALE).astype(int)
-    return np.stack([seen // 256, seen % 256, 0 * seen], -1).astype(np.uint8)
+    levels = np.rint(65535 * (1 / depth - SHIFT) / SCALE).astype(int)
+    return np.stack([levels // 256, levels % 256, 0 * levels], -1).astype(np.uint8)
 
 
 def network(file):
@@ -53,11 +53,11 @@ def network(file):
     return graph.save(file)
 
 
-def scene_of(depths, tmp_path, *, seen=None, matched=200):
+def scene_of(depths, tmp_path, *, photo_depths=None, matched=200):
     """Photos of depth maps from one place, with points on them, a fifth of which were matched wrongly."""
     rng = np.random.default_rng(3)
     K, viewmat = np.asarray(CAMERA.K), np.asarray(CAMERA.viewmat)
-    frames = [frame_of(f"{i}.png", viewmat, K, Pixels(photo(d))) for i, d in enumerate(seen or depths)]
+    frames = [frame_of(f"{i}.png", viewmat, K, Pixels(photo(d))) for i, d in enumerate(photo_depths or depths)]
     rays, points = [], []
     for depth in depths:
         y, x = rng.integers(0, 48, matched), rng.integers(0, 64, matched)
@@ -86,29 +86,29 @@ def test_planes_and_balls_have_their_normals_and_edges_have_none(tmp_path):
     assert np.any(normals, -1).mean() > 0.99
     assert angles(normals[np.any(normals, -1)], TILTED).max() < 0.3
     normals, _ = estimate(scene.frames[1])
-    known = np.any(normals, -1)
+    has_normal = np.any(normals, -1)
     silhouette = on_ball[1:-1, 1:-1] & ~(
         on_ball[:-2, 1:-1] & on_ball[2:, 1:-1] & on_ball[1:-1, :-2] & on_ball[1:-1, 2:]
     )
-    assert silhouette.sum() > 40 and not known[1:-1, 1:-1][silhouette].any()
-    assert known.mean() > 0.85 and known[on_ball].mean() > 0.6
-    assert angles(normals[known & ~on_ball], [0, 0, -1]).max() < 1.0, "the wall beside the ball is a wall"
-    assert np.median(angles(normals[known & on_ball], ball_normals[known & on_ball])) < 5.0
+    assert silhouette.sum() > 40 and not has_normal[1:-1, 1:-1][silhouette].any()
+    assert has_normal.mean() > 0.85 and has_normal[on_ball].mean() > 0.6
+    assert angles(normals[has_normal & ~on_ball], [0, 0, -1]).max() < 1.0, "the wall beside the ball is a wall"
+    assert np.median(angles(normals[has_normal & on_ball], ball_normals[has_normal & on_ball])) < 5.0
 
 
 def test_photos_that_the_network_gets_wrong_are_named_and_empty(tmp_path, monkeypatch):
     monkeypatch.setitem(pipeline.normals.__globals__, "tqdm", partial(tqdm, disable=True))
     depth = plane()[0]
     noise = 1 / (0.2 + 0.3 * np.random.default_rng(0).random(depth.shape))
-    scene = scene_of([depth, depth, depth], tmp_path, seen=[depth, 1 / (0.8 - 1 / depth), noise])
+    scene = scene_of([depth, depth, depth], tmp_path, photo_depths=[depth, 1 / (0.8 - 1 / depth), noise])
     monkeypatch.setitem(pipeline.normals.__globals__, "load_scene", lambda *_, **__: scene)
     record = {"licence": "none", "size": {"rule": "multiple"}, "white": 255, "kind": "disparity"}
     (tmp_path / "r.json").write_text(json.dumps({**record, "depth": {"names": ["seen"]}}))
     report = pipeline.normals(tmp_path, tmp_path / "r.json", network(tmp_path / "w.onnx"), tmp_path / "maps")
     assert report["rejected"].startswith("2 of 3: 1.png (what the network sees nearer is farther away); 2.png (")
     assert report["fit"].startswith("0.0 % off the tracks' depth, explains 1.00")
-    known = [np.any(read(), -1).mean() for read in normal_maps(tmp_path / "maps", scene.frames).values()]
-    assert known[0] > 0.99 and known[1:] == [0, 0]
+    coverage = [np.any(read(), -1).mean() for read in normal_maps(tmp_path / "maps", scene.frames).values()]
+    assert coverage[0] > 0.99 and coverage[1:] == [0, 0]
 
 
 def test_a_scene_without_tracks_is_refused(tmp_path):

@@ -27,9 +27,9 @@ def corridor(width=100, height=80, walls=True):
 
 def noisy(normals, degrees, seed=0):
     noise = np.random.default_rng(seed).normal(size=normals.shape) * np.radians(degrees)
-    known = np.any(normals, -1, keepdims=True)
+    has_normal = np.any(normals, -1, keepdims=True)
     turned = normals + noise
-    return (turned / np.linalg.norm(turned, axis=-1, keepdims=True) * known).astype(np.float32)
+    return (turned / np.linalg.norm(turned, axis=-1, keepdims=True) * has_normal).astype(np.float32)
 
 
 def test_a_corridor_confirms_its_axes():

@@ -107,9 +107,9 @@ def test_smooth_errors_of_twenty_degrees_are_rejected_where_they_are_large():
     pairs = [turned(view.normals.astype(np.float64), rng, 20) for view in VIEWS]
     photos, verdict = judge_maps(with_maps([normals for normals, _ in pairs]))
     confidence, off = np.stack([one.confidence for one in photos]), np.stack([degrees for _, degrees in pairs])
-    known = np.stack([np.any(v.normals, -1) for v in VIEWS])
+    has_normal = np.stack([np.any(v.normals, -1) for v in VIEWS])
     assert verdict.is_accepted and 0.1 < verdict.share < 0.7
-    assert confidence[known & (off < 10)].mean() > 2 * confidence[known & (off > 30)].mean()
+    assert confidence[has_normal & (off < 10)].mean() > 2 * confidence[has_normal & (off > 30)].mean()
 
 
 def test_one_photo_that_is_wrong_whole_is_named_and_the_others_stay():
@@ -139,8 +139,8 @@ def test_maps_that_are_mostly_empty_are_rejected():
 @pytest.mark.parametrize("full", [4, 6])
 def test_maps_that_are_mostly_empty_are_rejected_where_the_others_cannot_be_judged_too(full):
     """Those that have normals look where no other looks."""
-    known = [index < full for index in range(len(VIEWS))]
-    views = [v._replace(depth=0 * v.depth, normals=v.normals * has) for v, has in zip(VIEWS, known, strict=True)]
+    is_full = [index < full for index in range(len(VIEWS))]
+    views = [v._replace(depth=0 * v.depth, normals=v.normals * has) for v, has in zip(VIEWS, is_full, strict=True)]
     photos, verdict = judge_maps(views)
     assert verdict.evidence is None and f"{10 - full} of 10 have no normals" in verdict.note
     assert verdict.is_accepted == (full == 6)
@@ -189,13 +189,13 @@ def test_depth_between_points_of_a_plane_is_the_planes_and_at_an_edge_there_is_n
     normal = np.array([0.4, -0.3, -1])
     plane = 3 * normal[2] / (rays @ normal)
     y, x = rng.integers(0, HEIGHT, 400), rng.integers(0, WIDTH, 400)
-    found = sparse_depth(rays[y, x, :2], plane[y, x], K, (HEIGHT, WIDTH))
-    assert (found > 0).mean() > 0.9
-    assert np.abs(found / plane - 1)[found > 0].max() < 2e-3
+    depth = sparse_depth(rays[y, x, :2], plane[y, x], K, (HEIGHT, WIDTH))
+    assert (depth > 0).mean() > 0.9
+    assert np.abs(depth / plane - 1)[depth > 0].max() < 2e-3
     stepped = np.where(np.arange(WIDTH) < 32, plane, 2 * plane)
-    found = sparse_depth(rays[y, x, :2], stepped[y, x], K, (HEIGHT, WIDTH))
-    off = np.minimum(np.abs(found / plane - 1), np.abs(found / (2 * plane) - 1))[found > 0]
-    assert (found[:, 31:33] > 0).mean() < 0.5 and (found[:, :26] > 0).mean() > 0.8 and np.quantile(off, 0.97) < 0.02
+    depth = sparse_depth(rays[y, x, :2], stepped[y, x], K, (HEIGHT, WIDTH))
+    off = np.minimum(np.abs(depth / plane - 1), np.abs(depth / (2 * plane) - 1))[depth > 0]
+    assert (depth[:, 31:33] > 0).mean() < 0.5 and (depth[:, :26] > 0).mean() > 0.8 and np.quantile(off, 0.97) < 0.02
     assert not sparse_depth(rays[y, x, :2][:10], plane[y, x][:10], K, (HEIGHT, WIDTH)).any()
 
 

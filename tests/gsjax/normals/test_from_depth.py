@@ -125,14 +125,14 @@ def test_smoothing_beats_raw_normals_of_a_noisy_depth(scene_view, amplitude, any
     camera, view = scene_view
     depth = view.depth * (1 + amplitude * splat_like_noise(view.depth.shape, 0))
     maps = [raw(depth, camera), smoothed(depth, camera)]
-    known = np.all([np.any(m != 0, axis=-1) for m in maps], axis=0)
-    assert known.sum() > 0.97 * (view.depth > 0).sum()
-    for mask, factor in ((known, anywhere), (known & (view.labels < solids.GROUND_LABEL), on_objects)):
+    has_normal = np.all([np.any(m != 0, axis=-1) for m in maps], axis=0)
+    assert has_normal.sum() > 0.97 * (view.depth > 0).sum()
+    for mask, factor in ((has_normal, anywhere), (has_normal & (view.labels < solids.GROUND_LABEL), on_objects)):
         before, after = (degrees_between(m, view.normals)[mask].mean() for m in maps)
         assert before > factor * after
 
 
-def seen(depth, camera):
+def view_of(depth, camera):
     """A view as `chosen_reduction` reads it."""
     return jnp.asarray(depth, jnp.float32), jnp.asarray(depth > 0, jnp.float32), camera
 
@@ -145,7 +145,7 @@ def test_windows_follow_the_size_of_the_bumps(scale):
     depth = -2.0 / (np.asarray(pixel_rays(camera), np.float64) @ normal)
     depth = depth * (1 + 0.005 * splat_like_noise(depth.shape, 0, scale))
     before = degrees_between(raw(depth, camera), normal).mean()
-    reduction = chosen_reduction([seen(depth, camera)])
+    reduction = chosen_reduction([view_of(depth, camera)])
     after = degrees_between(smoothed(depth, camera, reduction=reduction), normal).mean()
     assert reduction == scale
     assert before > 20
@@ -158,7 +158,7 @@ def test_windows_follow_the_size_of_the_bumps(scale):
 def test_windows_stay_small_where_there_is_little_noise_or_shapes_are_small(scene_view, amplitude):
     camera, view = scene_view
     depth = view.depth * (1 + amplitude * splat_like_noise(view.depth.shape, 0))
-    assert chosen_reduction([seen(depth, camera)]) == 1
+    assert chosen_reduction([view_of(depth, camera)]) == 1
 
 
 def test_the_edge_of_larger_windows_is_as_sharp_in_blocks_of_theirs():
@@ -231,14 +231,14 @@ def test_every_mirroring_is_found_and_undone(references, signs):
         noisy = reference + 0.3 * rng.standard_normal(reference.shape)
         noisy /= np.linalg.norm(noisy, axis=-1, keepdims=True)
         foreign.append((noisy * signs * (np.any(reference != 0, axis=-1, keepdims=True))).astype(np.float32))
-    found, score, margin = detect_axes(foreign, references)
-    np.testing.assert_array_equal(found, signs)
+    axes, score, margin = detect_axes(foreign, references)
+    np.testing.assert_array_equal(axes, signs)
     assert score > 0.85
     assert margin > 0.05  # the table fills most of the view, and its normal has no x
-    restored = apply_axes(foreign[0], found)
+    restored = apply_axes(foreign[0], axes)
     assert restored.dtype == np.float32
-    known = np.any(references[0] != 0, axis=-1)
-    assert np.sum(restored * references[0], axis=-1)[known].mean() > 0.85
+    has_normal = np.any(references[0] != 0, axis=-1)
+    assert np.sum(restored * references[0], axis=-1)[has_normal].mean() > 0.85
 
 
 def test_axes_that_cannot_be_told_have_no_margin(references):

@@ -90,16 +90,16 @@ ESTIMATORS = (sdf.sdf_gradient_map, sdf.pixel_depth_map, sdf.smallest_axis_map)
 def test_on_a_plane_the_gradient_is_the_normal_over_its_cosine_with_the_ray(normal):
     normal = unit(normal)
     rays = rays_through(CORNERS.reshape(-1, 2))
-    found = gradients(rays * plane_depth(normal, rays)[:, None], plane_depth(normal))
-    assert angles(found, np.broadcast_to(normal, found.shape)).max() < 0.3
-    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1 / np.abs(rays @ TURN @ normal), rtol=3e-3)
+    vectors = gradients(rays * plane_depth(normal, rays)[:, None], plane_depth(normal))
+    assert angles(vectors, np.broadcast_to(normal, vectors.shape)).max() < 0.3
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=-1), 1 / np.abs(rays @ TURN @ normal), rtol=3e-3)
 
 
 def test_on_a_ball_the_gradient_is_radial():
     rays = rays_through(CORNERS)
     depth, normals, frontal = seen_ball(rays)
-    found = gradients((rays * depth[..., None])[frontal], seen_ball()[0])
-    off = angles(found @ TURN.T, normals[frontal])
+    vectors = gradients((rays * depth[..., None])[frontal], seen_ball()[0])
+    off = angles(vectors @ TURN.T, normals[frontal])
     assert len(off) > 300
     assert np.median(off) < 0.3 and off.max() < 1  # a pixel spans 5 degrees of the ball
 
@@ -136,11 +136,11 @@ def interior(alphas, margin=6):
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.3, 0.2, -1.0), (-0.5, 0.3, -1.0)])
 def test_on_a_plane_of_gaussians_every_estimator_gives_the_normal_facing_the_camera(normal):
-    alphas, found = maps(plane(unit(normal)), CAMERA)
-    mask = interior(alphas) & np.any(found["pixel_depth_map"], -1)
+    alphas, estimates = maps(plane(unit(normal)), CAMERA)
+    mask = interior(alphas) & np.any(estimates["pixel_depth_map"], -1)
     assert mask.sum() > 400
     for name, bound in (("sdf_gradient_map", 2), ("pixel_depth_map", 4), ("smallest_axis_map", 0.1)):
-        off = angles(found[name][mask], np.broadcast_to(TURN @ unit(normal), (mask.sum(), 3)))
+        off = angles(estimates[name][mask], np.broadcast_to(TURN @ unit(normal), (mask.sum(), 3)))
         assert np.median(off) < bound, name
         assert off.max() < 45, name  # on the camera's side, everywhere
 
@@ -150,20 +150,20 @@ def test_on_a_ball_of_gaussians_with_its_exact_depth_the_normals_are_those_of_th
     z, turn = 1 - 2 * k / 256, np.pi * (1 + 5**0.5) * k
     normals = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], -1)
     depth, expected, frontal = seen_ball()
-    alphas, found = maps(discs(BALL + RADIUS * normals, normals, 0.2), CAMERA, jnp.asarray(depth, jnp.float32))
+    alphas, estimates = maps(discs(BALL + RADIUS * normals, normals, 0.2), CAMERA, jnp.asarray(depth, jnp.float32))
     mask = (np.asarray(alphas) > 0.9) & frontal
     assert mask.sum() > 300
     for name, bound in (("sdf_gradient_map", 8), ("pixel_depth_map", 0.3), ("smallest_axis_map", 10)):
-        off = angles(found[name][mask], expected[mask])
+        off = angles(estimates[name][mask], expected[mask])
         assert np.median(off) < bound, name  # a disc spans 8 degrees
         assert off.max() < 2 * bound + 1, name
 
 
 def test_the_pixel_map_of_an_exact_plane_is_its_normal_and_nothing_at_the_border():
     normal = unit((0.3, 0.2, -1.0))
-    found = np.asarray(pixel_map(jnp.asarray(plane_depth(normal), jnp.float32), CAMERA))
-    assert angles(found[1:-1, 1:-1], np.broadcast_to(TURN @ normal, (34, 38, 3))).max() < 0.02
-    for border in (found[0], found[-1], found[:, 0], found[:, -1]):
+    normals = np.asarray(pixel_map(jnp.asarray(plane_depth(normal), jnp.float32), CAMERA))
+    assert angles(normals[1:-1, 1:-1], np.broadcast_to(TURN @ normal, (34, 38, 3))).max() < 0.02
+    for border in (normals[0], normals[-1], normals[:, 0], normals[:, -1]):
         assert not border.any()
 
 
@@ -180,8 +180,8 @@ def test_uncovered_neighbours_leave_no_direction_and_no_nan():
     depth = np.full((36, 40), 3.0, np.float32)
     depth[10, 12] = 0
 
-    found = np.asarray(pixel_map(jnp.asarray(depth), CAMERA))
-    missing = ~found.any(-1)
+    normals = np.asarray(pixel_map(jnp.asarray(depth), CAMERA))
+    missing = ~normals.any(-1)
     assert all(missing[r, c] for r, c in ((9, 12), (11, 12), (10, 11), (10, 13)))
     assert missing[1:-1, 1:-1].sum() == 4
     gradient = jax.jit(jax.grad(lambda depth: jnp.sum(pixel_map(depth, CAMERA))))(jnp.asarray(depth))
@@ -228,9 +228,9 @@ def strays(monkeypatch):
 
 def test_means_that_read_no_depth_have_no_direction(strays):
     means, depth, normal, directions = strays
-    found = np.asarray(jax.jit(directions)(means, depth))
-    np.testing.assert_array_equal(np.any(found != 0, axis=1), READS)
-    assert angles(found[READS], np.tile(normal, (READS.sum(), 1))).max() < 0.3
+    vectors = np.asarray(jax.jit(directions)(means, depth))
+    np.testing.assert_array_equal(np.any(vectors != 0, axis=1), READS)
+    assert angles(vectors[READS], np.tile(normal, (READS.sum(), 1))).max() < 0.3
 
 
 def test_means_that_read_no_depth_get_and_give_no_gradient(strays):

@@ -112,11 +112,11 @@ def test_crops_keep_what_lies_inside(tmp_path):
     inside = np.linalg.norm(means - [0, 0, 1], axis=1) <= 0.25
     assert_close(load_gaussians(tmp_path / "cap.ply").means, means[inside])
     assert report["cropped"] == (~inside).sum() - report["isolated"] - report["giants"]
-    for wrong, told in (
+    for wrong, message in (
         ({"sphere": (9, 9, 9, 1)}, "none of its .* would be left"),
         ({"box": (1, 0, 0, 0, 1, 1)}, "--box 1"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=message):
             clean(bare, tmp_path / "none.ply", **wrong)
     assert not (tmp_path / "none.ply").exists()
 

@@ -66,9 +66,9 @@ def test_what_is_not_wanted_is_left_out(cloud, tmp_path, capsys):
     assert read.pixel_filter == "mip"
     np.testing.assert_array_equal(read.means, cloud.means[inside])
     np.testing.assert_array_equal(read.sh_rest, cloud.sh_rest[inside, :3])
-    told = dict(line.split(None, 1) for line in capsys.readouterr().out.splitlines())
-    assert told["gaussians"].strip() == str(inside.sum())
-    assert told["left_out"].strip() == str(60 - inside.sum())
+    report = dict(line.split(None, 1) for line in capsys.readouterr().out.splitlines())
+    assert report["gaussians"].strip() == str(inside.sum())
+    assert report["left_out"].strip() == str(60 - inside.sum())
 
 
 def test_a_degree_above_what_there_is_keeps_what_there_is(cloud, tmp_path):

@@ -45,22 +45,22 @@ def file(ball, tmp_path, monkeypatch):
 @pytest.mark.parametrize("method", METHODS)
 def test_any_ply_becomes_a_mesh_without_cameras(file, method, tmp_path):
     report = mesh(file, tmp_path / "mesh.glb", method=method)
-    found = read_mesh(tmp_path / "mesh.glb")
-    assert found.num_faces == report["faces"] > 1000
+    result = read_mesh(tmp_path / "mesh.glb")
+    assert result.num_faces == report["faces"] > 1000
     assert report["facing_share"] > 0.99
-    radii = np.linalg.norm(found.vertices, axis=1)
+    radii = np.linalg.norm(result.vertices, axis=1)
     assert np.median(np.abs(radii - 1)) < 0.11
     if method == "poisson":
         assert report["topology"]["watertight"]
-        assert signed_volume(found) == pytest.approx(4 / 3 * np.pi, rel=0.06)
+        assert signed_volume(result) == pytest.approx(4 / 3 * np.pi, rel=0.06)
 
 
 def test_a_closed_ball_has_no_holes_and_a_cut_one_keeps_its_rim(file, tmp_path, monkeypatch):
     """Nobody sees a surface where the box cuts the ball, and the views see its inside through the opening."""
-    asked, close = [], holes.fill_holes
+    view_counts, close = [], holes.fill_holes
 
     def fill_holes(surface, views):
-        asked.append(len(views))
+        view_counts.append(len(views))
         return close(surface, views)
 
     monkeypatch.setattr(holes, "fill_holes", fill_holes)
@@ -69,7 +69,7 @@ def test_a_closed_ball_has_no_holes_and_a_cut_one_keeps_its_rim(file, tmp_path, 
     box = {"bounds": [-2.0, -2, 0, 2, 2, 2], "foreground_only": True}
     cut = mesh(file, tmp_path / "mesh.ply", method="tsdf", fill_holes=True, **box)
     assert cut["topology"]["boundary_loops"] >= 1
-    assert asked == [16, 16], "all views"
+    assert view_counts == [16, 16], "all views"
 
 
 def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
@@ -83,17 +83,17 @@ def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("count", "mattes", "chosen", "agrees"),
+    ("count", "mattes", "winner", "agrees"),
     [(400, False, "tsdf", "met"), (90, False, "poisson", None), (90, True, "tsdf", "both")],
 )
-def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch, count, mattes, chosen, agrees):
+def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch, count, mattes, winner, agrees):
     """Balls of four sizes, of which one is where the tracks end; fewer than 100 lines of sight leave it to mattes."""
     directions = np.random.default_rng(0).normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    radii, made = {"poisson": 1.1, "empty": None, "tsdf": 1.0}, []
+    radii, calls = {"poisson": 1.1, "empty": None, "tsdf": 1.0}, []
 
     def extract(gaussians, cameras, pictures, *, method, **options):
-        made.append(method)
+        calls.append(method)
         if radii[method] is None:
             raise NoSurfaceError("no surface to extract: as here")
         sphere = trimesh.creation.icosphere(subdivisions=3, radius=radii[method])
@@ -108,13 +108,13 @@ def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch
     monkeypatch.setitem(mesh.__globals__, "extract_mesh", extract)
     monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
     report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", keep_floaters=True, photo_refine=False)
-    assert report["method"] == chosen
-    assert made == (["poisson", "empty", "tsdf", "tsdf"] if chosen == "tsdf" else ["poisson"])
+    assert report["method"] == winner
+    assert calls == (["poisson", "empty", "tsdf", "tsdf"] if winner == "tsdf" else ["poisson"])
     assert {name: one[agrees] > 0.9 for name, one in report["tried"].items()} == (
-        {"poisson": False, "tsdf": True} if chosen == "tsdf" else {}
+        {"poisson": False, "tsdf": True} if winner == "tsdf" else {}
     )
-    found = np.linalg.norm(read_mesh(tmp_path / "mesh.ply").vertices, axis=1)
-    np.testing.assert_allclose(found, radii[chosen], rtol=1e-5)
+    vertex_radii = np.linalg.norm(read_mesh(tmp_path / "mesh.ply").vertices, axis=1)
+    np.testing.assert_allclose(vertex_radii, radii[winner], rtol=1e-5)
 
 
 def outline_of_a_ball(radius):
@@ -141,14 +141,14 @@ def lumpy(ball, tmp_path_factory):
                "log_scales": ball.gaussians.log_scales + jnp.float32(np.log(0.35))}  # fmt: skip
     lump = take(Gaussians(**{**ball.gaussians.__dict__, **as_lump}), np.arange(1, 2000, 4))
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[np.arange(2000) % 4 != 0], b]), ball.gaussians, lump)
-    shown = gallery.pictures(lump, ball.cameras, np.zeros(3))
+    lump_pictures = gallery.pictures(lump, ball.cameras, np.zeros(3))
     folders = {}
     for name in ("masked", "unmasked"):
         folders[name] = tmp_path_factory.mktemp(name)
         write_gaussians(folders[name] / "gaussians.ply", both)
         json_files.write(folders[name] / "config.json", {"background": "black"})
     frames, count = [], 0
-    for index, (camera, picture) in enumerate(zip(ball.cameras, shown, strict=True)):
+    for index, (camera, picture) in enumerate(zip(ball.cameras, lump_pictures, strict=True)):
         hidden = ndimage.binary_dilation(picture.alphas > 0, iterations=1)
         count += hidden.sum()
         pixels = Pixels(np.zeros((*hidden.shape, 3), np.uint8), None, np.where(hidden, 0, 255).astype(np.uint8))
@@ -162,9 +162,9 @@ def lumpy(ball, tmp_path_factory):
 def test_where_photos_are_masked_no_triangle_grows(lumpy, tmp_path):
     def near_lump(name):
         mesh(lumpy[name], tmp_path / f"{name}.ply", method=fused)
-        found = read_mesh(tmp_path / f"{name}.ply")
-        assert np.sum(np.linalg.norm(found.vertices, axis=1) < 1.15) > 500  # the ball is there
-        return int(np.sum(np.linalg.norm(found.vertices - LUMP, axis=1) < 0.5))
+        result = read_mesh(tmp_path / f"{name}.ply")
+        assert np.sum(np.linalg.norm(result.vertices, axis=1) < 1.15) > 500  # the ball is there
+        return int(np.sum(np.linalg.norm(result.vertices - LUMP, axis=1) < 0.5))
 
     assert near_lump("unmasked") > 50
     assert near_lump("masked") == 0
@@ -174,14 +174,14 @@ def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch
     """The ball's photos are black: instead, three of its ten views are of photos with stereo depth."""
     result = open_result(lumpy["unmasked"])
     result = replace(result, held_out=tuple(index == 4 for index in range(10)))
-    told = {f"{n}.png": StereoMap(np.full((2, 2), n, np.float32), np.zeros((2, 2, 3), np.int8)) for n in (2, 5, 9)}
+    stereo = {f"{n}.png": StereoMap(np.full((2, 2), n, np.float32), np.zeros((2, 2, 3), np.int8)) for n in (2, 5, 9)}
 
     def depths(data, most):
         assert data == "of the photos" and most == 100
         return SimpleNamespace(line="3 of 9 photos")
 
     monkeypatch.setattr(mesh_views, "depths_of_photos", depths)
-    monkeypatch.setattr(mesh_views, "stereo_maps", lambda _: told)
+    monkeypatch.setattr(mesh_views, "stereo_maps", lambda _: stereo)
     views = partial(mesh_views.MeshViews, with_owners=False)
     assert {index: depth[0, 0] for index, depth in views(result, "of the photos").stereo.items()} == {2: 2, 4: 5, 8: 9}
     assert capsys.readouterr().err == "mesh: depth that photos agree about: 3 of 9 photos\n"
@@ -202,9 +202,9 @@ def test_auto_renders_each_view_once_and_extracts_at_full_size_once(lumpy, tmp_p
     rendered, visited = [], []
     draw, poisson = gallery.pictures, METHODS["poisson"]
 
-    def pictures(gaussians, cameras, *given, **options):
+    def pictures(gaussians, cameras, *arguments, **options):
         rendered.append(len(cameras))
-        return draw(gaussians, cameras, *given, **options)
+        return draw(gaussians, cameras, *arguments, **options)
 
     def make(name, options, ids):
         def visiting(gaussians, cameras, pictures):
@@ -266,15 +266,15 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
         assert [(view.depth.shape, bool(view.depth.any())) for view in views] == 10 * [((60, 64), True)]
         return np.linalg.norm(np.asarray(gaussians.means) - LUMP, axis=1) < 0.5
 
-    def made(**options):
+    def mesh_counts(**options):
         report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method=fused, photo_refine=False, **options)
-        found = read_mesh(tmp_path / "mesh.ply").vertices
-        return report["floaters"], int(np.sum(np.linalg.norm(found - LUMP, axis=1) < 0.5))
+        vertices = read_mesh(tmp_path / "mesh.ply").vertices
+        return report["floaters"], int(np.sum(np.linalg.norm(vertices - LUMP, axis=1) < 0.5))
 
     monkeypatch.setattr(mesh_views, "are_floaters", are_floaters)
-    assert made() == (500, 0)
-    kept, near_lump = made(keep_floaters=True)
-    assert kept is None
+    assert mesh_counts() == (500, 0)
+    floaters, near_lump = mesh_counts(keep_floaters=True)
+    assert floaters is None
     assert near_lump > 50
 
 

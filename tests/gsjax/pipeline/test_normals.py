@@ -181,15 +181,15 @@ def test_a_lens_is_taken_out_before_the_network_sees_it_and_not_once_more(tmp_pa
     frame = load_scene(scene).frames[0]
     assert frame.origin is not None and frame.origin.photo == frame.origin.undistorted
     pipeline.normals(scene, write_record(tmp_path / "r.json"), color_network(tmp_path / "w.onnx"), tmp_path / "maps")
-    shown = frame.pixels().image.astype(np.float64) * 2 / 255 - 1
+    expected = frame.pixels().image.astype(np.float64) * 2 / 255 - 1
     valid = frame.pixels().valid
-    seen = np.ones(shown.shape[:2], bool) if valid is None else valid > 127
-    assert angles(read(tmp_path / "maps", scene)[frame.name][seen], shown[seen]).max() < 0.1
+    is_valid = np.ones(expected.shape[:2], bool) if valid is None else valid > 127
+    assert angles(read(tmp_path / "maps", scene)[frame.name][is_valid], expected[is_valid]).max() < 0.1
     (tmp_path / "of_photo").mkdir()
     for name in "abc":
         np.save(tmp_path / f"of_photo/{name}.npy", ball().astype(np.float32))
     again = read(tmp_path / "of_photo", scene)[frame.name]
-    assert angles(again[seen], shown[seen]).mean() < 0.5, "the photo's own map, undistorted, is the same map"
+    assert angles(again[is_valid], expected[is_valid]).mean() < 0.5, "the photo's own map, undistorted, is the same map"
 
 
 def test_intrinsics_follow_the_photo_and_the_networks_pixel_centres(tmp_path):

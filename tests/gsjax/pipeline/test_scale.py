@@ -64,10 +64,10 @@ def test_a_scene_of_a_known_length_is_in_metres_and_upright(scene):
     place = read_place(scene)
     assert place.known_by == "6 m between 00.png 20 30 and 00.png 60 30"
     placed, plain = load_scene(scene), WALL
-    found, before = placed.similarity.points_to_world(placed.points), plain.points.astype(np.float64)
-    assert_close(np.ptp(found[:, 0]), 6.0 / TRUE * np.ptp(before[:, 0]), rtol=1e-4, atol=0, why="float32 poses")
+    after, before = placed.similarity.points_to_world(placed.points), plain.points.astype(np.float64)
+    assert_close(np.ptp(after[:, 0]), 6.0 / TRUE * np.ptp(before[:, 0]), rtol=1e-4, atol=0, why="float32 poses")
     # Cameras look along z with y down: up is -y, and becomes z.
-    assert_close(found[:, 2], -6.0 / TRUE * before[:, 1], rtol=0, atol=1e-3, why="float32 poses")
+    assert_close(after[:, 2], -6.0 / TRUE * before[:, 1], rtol=0, atol=1e-3, why="float32 poses")
 
 
 def test_a_run_of_a_known_length_has_files_in_metres_and_computes_what_it_did(run):
@@ -116,16 +116,16 @@ def test_the_files_of_a_run_are_all_old_or_all_new_wherever_it_is_stopped(run, r
 
 
 @pytest.mark.parametrize(
-    ("pixel", "told"),
+    ("pixel", "message"),
     [
         (Pixel("7.jpg", 1.0, 1.0), "has no photo 7.jpg; one is called 0.jpg"),
         (Pixel("0.jpg", 96.5, 1.0), "0.jpg 96.5 1: lies outside the photo, which is 96x80"),
         (Pixel("0.jpg", 48.0, 40.0), "show one point"),
     ],
 )
-def test_what_cannot_be_measured_in_a_run_is_one_line_and_changes_nothing(run, pixel, told):
+def test_what_cannot_be_measured_in_a_run_is_one_line_and_changes_nothing(run, pixel, message):
     before = {file: file.read_bytes() for file in run.rglob("*") if file.is_file()}
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         scale(run, (Pixel("0.jpg", 48.0, 40.0), pixel), 1.0)
     assert before == {file: file.read_bytes() for file in before}
 
@@ -141,7 +141,7 @@ def test_where_nothing_was_triangulated_there_is_no_length(scene, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (["--between", "a", "1", "2", "b", "3", "4", "--is", "1.5"], "1.5: not a length, such as 1.25m"),
         (["--between", "a", "1", "2", "b", "3", "4", "--is", "0m"], "0m: not a length"),
@@ -149,7 +149,7 @@ def test_where_nothing_was_triangulated_there_is_no_length(scene, monkeypatch):
         (["--between", "a", "1", "2", "b", "3", "nan"], "--between: b 3 nan is not a photo and a pixel"),
     ],
 )
-def test_wrong_options_are_one_line(arguments, told, capsys):
+def test_wrong_options_are_one_line(arguments, message, capsys):
     assert cli.main(["scale", "nowhere", *arguments]) == 2
     error = capsys.readouterr().err
-    assert told in error and error.count("\n") == 1
+    assert message in error and error.count("\n") == 1

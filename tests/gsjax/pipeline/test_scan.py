@@ -95,8 +95,8 @@ def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp
     assert rows["sfm"]["registered"] == 7 and rows["mesh"]["faces"] == 12
     assert all(row["seconds"] >= 0 and row["peak_gib"] > 0 for row in rows.values())
     scores = {"psnr": 20.9, "psnr_near_gains": 29.9, "psnr_fitted": 30.7}
-    shown = table({"stages": {"train": scores}})["train"]
-    assert shown == {"psnr": 20.9, "psnr_near_gains": 29.9}, "photos of other exposures than the mean look no worse"
+    train_row = table({"stages": {"train": scores}})["train"]
+    assert train_row == {"psnr": 20.9, "psnr_near_gains": 29.9}, "photos of other exposures than the mean look no worse"
 
 
 def test_a_scan_goes_on_where_it_stopped_and_then_has_nothing_to_do(stages, photos, tmp_path):
@@ -153,15 +153,15 @@ def test_photos_are_reconstructed_as_sfm_would_and_a_resumed_scan_is_the_same(
 ):
     calls, out = stages[0], str(tmp_path / "scan")
     monkeypatch.chdir(tmp_path)
-    asked = ["--panoramas", "--mask-below", "60", "--features", "aliked", "--weights", "a.onnx"]
-    assert cli.main(["scan", "photos", "--out", out, *asked]) == 0
+    arguments = ["--panoramas", "--mask-below", "60", "--features", "aliked", "--weights", "a.onnx"]
+    assert cli.main(["scan", "photos", "--out", out, *arguments]) == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith("only 7 of 15 photos are in the model")
     options = {"panoramas": True, "mask_below": 60.0, "features": "aliked", "weights": "a.onnx"}
     assert calls[0] == ("sfm", "photos", out + "/scene", options)
     monkeypatch.chdir(photos)
-    asked[-1] = "../a.onnx"
-    assert cli.main(["scan", ".", "--out", out, *asked]) == 0, "the same files, named from elsewhere"
-    for other in (asked[:4], [*asked[:2], "50", *asked[3:]], [*asked[:-1], "b.onnx"]):
+    arguments[-1] = "../a.onnx"
+    assert cli.main(["scan", ".", "--out", out, *arguments]) == 0, "the same files, named from elsewhere"
+    for other in (arguments[:4], [*arguments[:2], "50", *arguments[3:]], [*arguments[:-1], "b.onnx"]):
         assert cli.main(["scan", ".", "--out", out, *other]) == 2
     assert len(calls) == 5, "none of these did anything"
 

@@ -61,10 +61,10 @@ def test_a_grey_mesh_gets_the_colours_of_the_gaussians(folder, tmp_path, capsys,
     assert textured is not None
     assert textured.texture.shape == (SIZE, SIZE, 3)
     inner = np.array([[u, v] for u in (-0.5, 0.5) for v in (-0.5, 0.0, 0.5)])  # in the world, clear of the stripe
-    found = [_color_at(textured, point) for point in inner]
+    colors = [_color_at(textured, point) for point in inner]
     expected = np.where(inner[:, :1] < 0, [0.9, 0.1, 0.1], [0.1, 0.2, 0.8])
     # The discs cover 0.97 of a pixel and its neighbours mix in: measured 0.02.
-    assert np.abs(np.array(found) / 255 - expected).max() < 0.05
+    assert np.abs(np.array(colors) / 255 - expected).max() < 0.05
 
 
 def _color_at(textured, point):

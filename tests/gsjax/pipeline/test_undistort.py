@@ -23,10 +23,10 @@ def noise(height=30, width=40, channels=3, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (height, width, channels), dtype=np.uint8)
 
 
-def assert_same(written, frames, *, most=0):
+def assert_same(actual, frames, *, most=0):
     """Frames equal, their pixels to within `most` levels."""
-    assert len(written) == len(frames)
-    for ours, theirs in zip(written, frames, strict=True):
+    assert len(actual) == len(frames)
+    for ours, theirs in zip(actual, frames, strict=True):
         assert (ours.width, ours.height, ours.held_out) == (theirs.width, theirs.height, theirs.held_out)
         np.testing.assert_array_equal(ours.K, theirs.K)
         np.testing.assert_allclose(ours.viewmat, theirs.viewmat, atol=1e-6)
@@ -99,8 +99,8 @@ def test_nothing_is_written_outside_or_left_half_done(tmp_path):
     scene = write_transforms(tmp_path / "scene", {"../photos/a.png": noise(), "images/b.png": noise()}, fl_x=50.0)
     before = (tmp_path / "photos/a.png").stat().st_mtime_ns
     pipeline.undistort(scene, tmp_path / "out")
-    written = sorted(path.relative_to(tmp_path / "out/images") for path in (tmp_path / "out/images").rglob("*.png"))
-    assert len(written) == 2 and written[-1].name == "a.png"
+    paths = sorted(path.relative_to(tmp_path / "out/images") for path in (tmp_path / "out/images").rglob("*.png"))
+    assert len(paths) == 2 and paths[-1].name == "a.png"
     assert (tmp_path / "photos/a.png").stat().st_mtime_ns == before
     with pytest.raises(InputError, match="out: exists and is not empty"):
         pipeline.undistort(scene, tmp_path / "out")

@@ -17,8 +17,8 @@ def test_cells_fill_space_once_and_have_as_many_cameras_each(places, count):
     anywhere = RNG.uniform(-1e4, 1e4, (500, 2))
     for points in (anywhere, places):
         assert (np.sum([cell.holds(points) for cell in cells], axis=0) == 1).all()
-    held = [cell.holds(places).sum() for cell in cells]
-    assert max(held) - min(held) <= 2 + np.log2(count)
+    counts = [cell.holds(places).sum() for cell in cells]
+    assert max(counts) - min(counts) <= 2 + np.log2(count)
 
 
 def test_cells_lie_along_what_cameras_are_spread_along_most():
@@ -35,12 +35,12 @@ def test_a_block_has_the_photos_of_its_margin_and_those_that_see_enough_of_it():
     near = STREET[:, 0] < border + MARGIN * side
     np.testing.assert_array_equal(photos_of(first, STREET, nothing), near)
     far = int(np.argmax(STREET[:, 0]))
-    seen = list(nothing)
-    seen[far] = np.array([[10.0, 0], [20, 0], [90, 0], [95, 0]])
-    assert photos_of(first, STREET, seen)[far]
-    seen[far] = seen[far][1:]
-    seen[far] = np.concatenate([seen[far], [[99.0, 0]]])
-    assert not photos_of(first, STREET, seen)[far], "a quarter is too little"
+    sightings = list(nothing)
+    sightings[far] = np.array([[10.0, 0], [20, 0], [90, 0], [95, 0]])
+    assert photos_of(first, STREET, sightings)[far]
+    sightings[far] = sightings[far][1:]
+    sightings[far] = np.concatenate([sightings[far], [[99.0, 0]]])
+    assert not photos_of(first, STREET, sightings)[far], "a quarter is too little"
 
 
 def test_cameras_at_fewer_places_than_blocks_are_refused():

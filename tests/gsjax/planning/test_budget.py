@@ -88,10 +88,10 @@ class Machine:
         self.now += 4.0
         return self.paces[name] * settings.schedule.steps, 6.0
 
-    def spent(self, seconds, chosen, name):
+    def spent(self, seconds, settings, name):
         """Seconds of the whole run, what is reserved for photos and scores included."""
-        gaussians = chosen.model.max_gaussians / NAMED[name].model.max_gaussians
-        steps = chosen.schedule.steps * self.paces[name] * (0.3 + 0.7 * gaussians)
+        gaussians = settings.model.max_gaussians / NAMED[name].model.max_gaussians
+        steps = settings.schedule.steps * self.paces[name] * (0.3 + 0.7 * gaussians)
         return 0.2 * seconds + 4.0 * len(self.measured) + 6.0 + steps
 
 
@@ -113,18 +113,21 @@ PACES = {"quick": 0.05, "fast": 0.1, "balanced": 0.3, "accurate": 0.8}
 def test_the_preset_is_the_longest_of_which_two_fifths_fit_and_ends_within_the_budget(monkeypatch, seconds, expected):
     # quick takes 45 s; by relative costs fast is estimated at 237 s.
     machine = Machine(monkeypatch, **PACES)
-    chosen, line = budget.budgeted("scene", NAMED, seconds)
+    settings, line = budget.budgeted("scene", NAMED, seconds)
     assert machine.measured == list(dict.fromkeys(["quick", expected]))
-    assert machine.spent(seconds, chosen, expected) == pytest.approx(seconds, rel=0.01)
-    assert line == f"{expected} in {chosen.schedule.steps:,} steps, with up to {chosen.model.max_gaussians:,} Gaussians"
+    assert machine.spent(seconds, settings, expected) == pytest.approx(seconds, rel=0.01)
+    assert (
+        line
+        == f"{expected} in {settings.schedule.steps:,} steps, with up to {settings.model.max_gaussians:,} Gaussians"
+    )
 
 
 @pytest.mark.parametrize("seconds", [60, 10_000])
 def test_a_run_whose_gaussians_stay_as_many_is_scaled_in_its_steps_alone(monkeypatch, seconds):
     machine = Machine(monkeypatch, fast=0.1)
-    chosen, _ = budget.budgeted("scene", {"fast": NAMED["fast"]}, seconds, budget.scaled)
-    assert chosen.model.max_gaussians == NAMED["fast"].model.max_gaussians
-    assert machine.spent(seconds, chosen, "fast") == pytest.approx(seconds, rel=0.01)
+    settings, _ = budget.budgeted("scene", {"fast": NAMED["fast"]}, seconds, budget.scaled)
+    assert settings.model.max_gaussians == NAMED["fast"].model.max_gaussians
+    assert machine.spent(seconds, settings, "fast") == pytest.approx(seconds, rel=0.01)
 
 
 def test_the_least_budget_that_a_refusal_names_is_taken(monkeypatch):
@@ -168,13 +171,13 @@ def test_the_first_twenty_steps_of_each_phase_are_timed_and_the_compiling_ones_l
     monkeypatch.setattr(budget.loop, "follow", follow)
     whole, compiling = budget.measure(wall(20, num_points=40), SETTINGS)
     assert whole == pytest.approx(700 * 1 + 900 * 2 + 30 * 3) and compiling == pytest.approx(3 * 27)
-    (tried,), (state,) = work, states
-    assert [(phase.begin, phase.end, phase.cull_below) for phase in tried.plan.phases] == [
+    (trial,), (state,) = work, states
+    assert [(phase.begin, phase.end, phase.cull_below) for phase in trial.plan.phases] == [
         (0, 20, 0),
         (20, 40, 0),
         (40, 60, 0),
     ]
-    assert tried.plan.density.start > 60 and 0 < len(tried.frames) <= 8
+    assert trial.plan.density.start > 60 and 0 < len(trial.frames) <= 8
     assert int(is_alive(state.gaussians).sum()) == state.gaussians.num_gaussians == 300
 
 

@@ -81,14 +81,14 @@ def test_a_real_falloff_passes_and_an_invented_one_does_not(scene, kind):
         "sheen": lambda: sheen(scene),
         "clean": lambda: scene,
     }[kind]()
-    seen = observe(photos)
-    estimated = exposure.estimate(seen)
+    observations = observe(photos)
+    estimated = exposure.estimate(observations)
     assert estimated is not None
-    corner = -vignetting.corner(seen, estimated)[0]
+    corner = -vignetting.corner(observations, estimated)[0]
     assert corner > 0.1 or kind == "clean"
-    found = validation(photos)(seen, ("vignetting",), {})["vignetting"]
-    assert found.passes == (kind == "vignetting")
-    assert found.gain < 0.05 or kind == "vignetting"
+    verdict = validation(photos)(observations, ("vignetting",), {})["vignetting"]
+    assert verdict.passes == (kind == "vignetting")
+    assert verdict.gain < 0.05 or kind == "vignetting"
 
 
 def turned(scene, degrees):
@@ -114,8 +114,8 @@ def test_what_photos_differ_in_passes(tmp_path, effect):
         None: lambda: clean,
     }[effect]()
     settings = SETTINGS.replace(schedule={"phases": (Phase("vanilla", 800),)})
-    chosen = choose_effects("auto", plan(settings), photos, validation(photos, settings))
-    assert chosen.names == ((effect,) if effect else ())
+    choice = choose_effects("auto", plan(settings), photos, validation(photos, settings))
+    assert choice.names == ((effect,) if effect else ())
 
 
 @pytest.mark.parametrize("name", ["quick", "fast", "balanced", "accurate"])
@@ -153,11 +153,11 @@ def test_every_pixel_is_held_out_in_one_of_four_consecutive_photos():
 
 def test_effects_start_from_what_is_not_held_out():
     scene = wall(6)
-    seen = observe(scene)
+    observations = observe(scene)
     frames = scene.frames[:4]
     blocks = [held_out_blocks(frame, index) for index, frame in enumerate(frames)]
-    left = without_blocks(seen, frames, blocks)
-    assert 0 < len(left.photo) < len(seen.photo) and set(left.photo) == {0, 1, 2, 3}
+    left = without_blocks(observations, frames, blocks)
+    assert 0 < len(left.photo) < len(observations.photo) and set(left.photo) == {0, 1, 2, 3}
     column, row = np.floor(left.pixels).astype(int).T
     assert not any(blocks[index][y, x] for index, x, y in zip(left.photo, column, row, strict=True))
     assert [frame.held_out for frame in left.frames] == [False] * 4 + [True] * 2
@@ -166,24 +166,24 @@ def test_effects_start_from_what_is_not_held_out():
 def test_effects_are_selected_one_after_the_other():
     """A sky brings its background with it, which is then not compared again."""
     worth = {"exposure": 0.3, "vignetting": -0.2, "sky": 0.5, "background": 9.0, "transients": 0.05}
-    asked = []
+    requests = []
 
     def predict(names):
-        asked.append(tuple(names))
+        requests.append(tuple(names))
         return [np.float64(sum(worth[name] for name in names if name != "background"))]
 
     def compare(without, with_effect):
         return Validated(float(with_effect[0] - without[0]), 0.01)
 
-    found = select(tuple(worth), predict, compare)
-    assert asked == [
+    verdicts = select(tuple(worth), predict, compare)
+    assert requests == [
         (),
         ("exposure",),
         ("exposure", "vignetting"),
         ("exposure", "background", "sky"),
         ("exposure", "background", "sky", "transients"),
     ]
-    assert {name: each.passes for name, each in found.items()} == {
+    assert {name: each.passes for name, each in verdicts.items()} == {
         "exposure": True,
         "vignetting": False,
         "sky": True,
@@ -202,8 +202,8 @@ def test_both_variants_are_scored_on_the_same_pixels():
         for size in (0.02, 0.04)
     )
 
-    def gain(without, with_it, shown=photos):
-        return compared(without, with_it, shown, whole, blocks)
+    def gain(without, with_it, targets=photos):
+        return compared(without, with_it, targets, whole, blocks)
 
     assert gain(worse, better).gain == pytest.approx(20 * np.log10(2), abs=1e-6)
     assert gain([0.5 * p for p in worse], [1.7 * p for p in better]).gain == pytest.approx(20 * np.log10(2), abs=1e-3)
@@ -253,17 +253,17 @@ def test_evidence_proposes_and_validation_decides(gain, simulated, capsys):
     photos = relit(wall(), lambda index, frame, x, y: true[index] - 0.4 * radii2(frame, x, y))
     calls = []
 
-    def validate(seen, proposed, skies):
+    def validate(observations, proposed, skies):
         calls.append(list(proposed))
         return {"exposure": Validated(0.5, 0.02), "vignetting": Validated(gain, 0.02)}
 
-    chosen = choose_effects("auto", plan(SETTINGS), photos, validate)
+    choice = choose_effects("auto", plan(SETTINGS), photos, validate)
     assert calls == [["exposure", "vignetting"]]
-    assert set(chosen.names) == {"exposure", "vignetting"} if simulated else {"exposure"}
+    assert set(choice.names) == {"exposure", "vignetting"} if simulated else {"exposure"}
     light, falloff = "exposure (+0.50 +-0.02 dB)", f"vignetting ({gain:+.2f} +-0.02 dB)"
     line = f"effects: {light}, {falloff}" if simulated else f"effects: {light}; not simulated: {falloff}"
     assert f"train: {line}\n" in capsys.readouterr().err
-    record = chosen.evidence
+    record = choice.evidence
     assert record["validated"]["vignetting"] == {"gain": gain, "error": 0.02}
     assert record["evidence"]["vignetting"]["on"], "the evidence stays what it is"
     decision = "simulated" if simulated else "not simulated"
@@ -272,24 +272,24 @@ def test_evidence_proposes_and_validation_decides(gain, simulated, capsys):
 
     # What was decided once is not validated again.
     again = choose_effects("auto", plan(SETTINGS), photos, validate, before=record)
-    assert again.names == chosen.names and len(calls) == 1
+    assert again.names == choice.names and len(calls) == 1
     assert {key: again.evidence[key] for key in ("simulated", "validated")} == {
         key: record[key] for key in ("simulated", "validated")
     }
 
 
 def test_without_validation_evidence_must_be_stronger_and_corners_are_left_alone(capsys):
-    def chosen(scene):
+    def effect_names(scene):
         return choose_effects("auto", plan(SETTINGS), scene).names
 
     weak, strong = (
         relit(wall(), lambda index, *_, size=size: drawn_gains(wall(), size)[index]) for size in (0.11, 0.3)
     )
-    assert chosen(weak) == () and "not simulated: exposure" in capsys.readouterr().err
-    assert chosen(strong) == ("exposure",)
+    assert effect_names(weak) == () and "not simulated: exposure" in capsys.readouterr().err
+    assert effect_names(strong) == ("exposure",)
     dark = relit(wall(), lambda index, frame, x, y: -1.0 * radii2(frame, x, y))
     capsys.readouterr()
-    assert chosen(dark) == () and "not simulated: vignetting" in capsys.readouterr().err
+    assert effect_names(dark) == () and "not simulated: vignetting" in capsys.readouterr().err
     assert choose_effects("vignetting", plan(SETTINGS), dark, lambda *_: {}).names == ("vignetting",)
 
 
@@ -298,11 +298,11 @@ def test_a_users_own_effect_is_simulated_besides_and_learns():
     own = Effect(
         np.float32(0), optax.constant_schedule(1e-2), light=lambda number, colors, batch: colors * jnp.exp(number)
     )
-    chosen = choose_effects("exposure", plan(SETTINGS), wall(6)).with_own({"dimmer": own})
-    assert chosen.names == ("exposure", "dimmer") and plan(SETTINGS).with_effects(chosen.names).effects == chosen.names
-    state = initial_state(chosen.effects)
+    choice = choose_effects("exposure", plan(SETTINGS), wall(6)).with_own({"dimmer": own})
+    assert choice.names == ("exposure", "dimmer") and plan(SETTINGS).with_effects(choice.names).effects == choice.names
+    state = initial_state(choice.effects)
     gradients = {"exposure": jnp.zeros_like(state.numbers["exposure"]), "dimmer": jnp.float32(1)}
-    state = update_effects(chosen.effects, state, gradients)
+    state = update_effects(choice.effects, state, gradients)
     assert state.numbers["dimmer"] == pytest.approx(-1e-2, rel=1e-4)
     with pytest.raises(InputError, match="'poses' is an effect of the library; give yours another name"):
-        chosen.with_own({"poses": own})
+        choice.with_own({"poses": own})

@@ -49,12 +49,12 @@ def scene_of(root, frames, *, similarity=None, noise=0.0, millimetres=2000, coun
     at = rng.uniform(-0.8, 0.8, (count, 2))
     points = np.c_[at, 4 + (at @ NORMAL[:2]) / -NORMAL[2]].astype(np.float32)
     views = np.repeat(np.arange(len(frames)), count)
-    seen = np.concatenate([points @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3] for frame in frames])
+    camera_points = np.concatenate([points @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3] for frame in frames])
     tracks = Tracks(
         tuple(frame.name for frame in frames),
         views.astype(np.int32),
         np.tile(np.arange(count, dtype=np.int32), len(frames)),
-        (seen[:, :2] / seen[:, 2:]).astype(np.float32),
+        (camera_points[:, :2] / camera_points[:, 2:]).astype(np.float32),
     )
     (root / "depth").mkdir()
     for frame, camera in zip(frames, CAMERAS, strict=True):
@@ -70,9 +70,9 @@ def test_points_tell_what_a_metre_is(tmp_path, frames):
     measured = measured_depth(scene, Supervision(depth="depth", depth_unit="mm"))
     assert measured is not None
     assert "of 3 of 3 photos, in mm; 1 m is 0.5" in measured.line
-    for (found, trust), camera in zip(measured.depths(1), CAMERAS, strict=True):
+    for (depth_map, trust), camera in zip(measured.depths(1), CAMERAS, strict=True):
         # A point is up to half a pixel from the pixel's centre, on a slanted wall.
-        np.testing.assert_allclose(found, true_depth(camera), rtol=1e-3)
+        np.testing.assert_allclose(depth_map, true_depth(camera), rtol=1e-3)
         assert (trust == 255).all()
     assert next(iter(measured.depths(2)))[0].shape == (12, 16)
     assert measured_depth(scene, Supervision()) is None
@@ -81,9 +81,9 @@ def test_points_tell_what_a_metre_is(tmp_path, frames):
 def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path, frames):
     doubled = Similarity(2.0)  # of files in metres
     tracked = scene_of(tmp_path, frames, similarity=doubled, millimetres=500)
-    for scene, said in ((tracked, "the scene is in metres"), (replace(tracked, tracks=None), "no points tell the")):
+    for scene, message in ((tracked, "the scene is in metres"), (replace(tracked, tracks=None), "no points tell the")):
         measured = measured_depth(scene, Supervision(depth="depth", depth_unit="mm"))
-        assert measured is not None and said in measured.line
+        assert measured is not None and message in measured.line
         np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
     placed = replace(tracked, place=Place(scale=3.0))  # a unit of the files is three metres
     own = measured_depth(placed, Supervision(depth="depth", depth_unit="scene"))
@@ -123,9 +123,9 @@ def test_the_term_is_in_every_phase_unless_a_phase_says_otherwise():
 
 def rendered_error(gaussians):
     """Mean share by which the rendered depth of the middle camera is off."""
-    found, _ = jax.jit(lambda g: depth.expected_depth(rendering.splat(g, CAMERAS[1], 4096)))(gaussians)
-    found = np.asarray(found)
-    return np.abs(np.log(found[found > 0] / true_depth(CAMERAS[1])[found > 0])).mean()
+    rendered_depth, _ = jax.jit(lambda g: depth.expected_depth(rendering.splat(g, CAMERAS[1], 4096)))(gaussians)
+    rendered_depth = np.asarray(rendered_depth)
+    return np.abs(np.log(rendered_depth[rendered_depth > 0] / true_depth(CAMERAS[1])[rendered_depth > 0])).mean()
 
 
 def test_training_comes_nearer_to_what_was_measured_than_without(frames):

@@ -61,11 +61,11 @@ def test_a_phase_is_timed_once_after_its_first_steps(monkeypatch):
     clock = iter(np.arange(0, 1000, 0.25))
     monkeypatch.setattr(pace.time, "perf_counter", lambda: float(next(clock)))
     timer = Pace()
-    told = [
+    times = [
         timer.seconds_per_step(phase)
         for phase in plan(Settings(schedule=Schedule(phases=PHASES))).phases
         for _ in range(30)
     ]
-    steps = [i for i, seconds in enumerate(told) if seconds is not None]
+    steps = [i for i, seconds in enumerate(times) if seconds is not None]
     assert steps == [pace.UNTIMED + pace.TIMED - 1 + 30 * phase for phase in range(3)]
-    assert {told[i] for i in steps} == {0.25 / pace.TIMED}
+    assert {times[i] for i in steps} == {0.25 / pace.TIMED}

@@ -64,20 +64,20 @@ def test_the_better_way_gains_and_the_same_way_gains_nothing(scene):
 @pytest.mark.usefixtures("short")
 def test_trials_of_one_way_share_their_programs(monkeypatch, scene):
     """All that a program is kept by (`gsjax.training.loop.kept_step`) is the same, but for the pairs' buffer."""
-    kept, asked = loop._kept, []
+    original, calls = loop._kept, []
 
-    def noted(*given, capacity, **how):
-        asked.append((given, tuple(how.items())))
-        return kept(*given, capacity=capacity, **how)
+    def noted(*arguments, capacity, **how):
+        calls.append((arguments, tuple(how.items())))
+        return original(*arguments, capacity=capacity, **how)
 
     monkeypatch.setattr(loop, "_kept", noted)
     gain(scene, SETTINGS, forgetful)
-    assert len(asked) >= 2 * FEWEST_FOLDS
-    assert len(set(asked)) == 2
+    assert len(calls) >= 2 * FEWEST_FOLDS
+    assert len(set(calls)) == 2
 
 
 @pytest.fixture
-def told(monkeypatch):
+def trial_log(monkeypatch):
     """What validation runs are given; they score zero and 0.1 without the change, and `scores` and `offs` with it."""
     trials, scores, offs = [], [], {}
 
@@ -97,29 +97,29 @@ def names(count, held_out=()):
     return tuple(frame_of(f"{i:03d}", np.eye(4), np.eye(3), pixels, held_out=i in held_out) for i in range(count))
 
 
-def test_unsure_trials_keep_every_photo_once_in_both_ways(told, scene):
-    trials, scores, _ = told
+def test_unsure_trials_keep_every_photo_once_in_both_ways(trial_log, scene):
+    trials, scores, _ = trial_log
     scores += [1.0, -1.0] * 5
-    found = gain(replace(scene, frames=names(10, held_out=(3,))), SETTINGS, forgetful)
+    result = gain(replace(scene, frames=names(10, held_out=(3,))), SETTINGS, forgetful)
     first, *_ = trials[0]
-    as_it_is = [name for way, kept in trials if way is first for name in kept]
-    held = [name for way, kept in trials if way is not first for name in kept]
+    as_it_is = [name for way, photos in trials if way is first for name in photos]
+    other_way = [name for way, photos in trials if way is not first for name in photos]
     assert len(trials) == 2 * FOLDS
-    assert as_it_is == held
-    assert sorted(held) == [f"{i:03d}" for i in range(10) if i != 3], "held-out photos play no part"
+    assert as_it_is == other_way
+    assert sorted(other_way) == [f"{i:03d}" for i in range(10) if i != 3], "held-out photos play no part"
     expected = np.delete(scores, 3)
-    assert found[:2] == pytest.approx((expected.mean(), expected.std(ddof=1) / 3))
-    assert found[2:] == (None, None)
+    assert result[:2] == pytest.approx((expected.mean(), expected.std(ddof=1) / 3))
+    assert result[2:] == (None, None)
 
 
 def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")
     (tmp_path / "two.ply").write_text(f"{header}end_header\n0 0 0\n1 0 0\n", encoding="utf-8")
-    begun, given = [], []
+    starts, matches = [], []
 
     def score(way, scene, settings, matched, observe):
-        begun.append(scene.points)
-        given.append(matched)
+        starts.append(scene.points)
+        matches.append(matched)
         return [Score(0.0, None)] * 2
 
     monkeypatch.setattr(sparse_view_trial, "score_variant", score)
@@ -129,32 +129,32 @@ def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, 
         replace(scene, tracks=lambda: tracks), SETTINGS.replace(model={"points": str(tmp_path / "two.ply")}), forgetful
     )
     expected = scene.similarity.points_to_local(np.array([[0.0, 0, 0], [1, 0, 0]]))
-    assert len(begun) > 0
-    assert all(np.allclose(points, expected) for points in begun)
-    assert all(np.array_equal(each[scene.frames[0].name], scene.points[[0, last]]) for each in given), "not of these"
+    assert len(starts) > 0
+    assert all(np.allclose(points, expected) for points in starts)
+    assert all(np.array_equal(each[scene.frames[0].name], scene.points[[0, last]]) for each in matches), "not of these"
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("ratio", [None, 1.0, 0.5, 2.0])
-def test_sure_trials_end_where_depth_does_not_contradict_them(told, scene, sign, ratio):
-    trials, scores, offs = told
+def test_sure_trials_end_where_depth_does_not_contradict_them(trial_log, scene, sign, ratio):
+    trials, scores, offs = trial_log
     scores += [sign * (2 + 0.1 * (i % 3)) for i in range(10)]
     if ratio is not None:
         offs |= {i: 0.1 * ratio * (1 + 0.01 * (i % 3 - 1)) for i in range(10)}
-    found = gain(replace(scene, frames=names(10)), SETTINGS, forgetful)
+    result = gain(replace(scene, frames=names(10)), SETTINGS, forgetful)
     contradicted = ratio == (2.0 if sign > 0 else 0.5)
-    assert sign * found.decibels > 2
-    assert found.is_contradicted == contradicted
+    assert sign * result.decibels > 2
+    assert result.is_contradicted == contradicted
     assert len(trials) == 2 * (FOLDS if contradicted else FEWEST_FOLDS)
 
 
-def test_depth_counts_where_both_ways_tell_of_it(told, scene):
-    _, scores, offs = told
+def test_depth_counts_where_both_ways_tell_of_it(trial_log, scene):
+    _, scores, offs = trial_log
     scores += [1.0, -1.0] * 5
     offs |= {2: 0.05, 7: 0.2, 9: 0.1}
-    found = gain(replace(scene, frames=names(10)), SETTINGS, forgetful)
+    result = gain(replace(scene, frames=names(10)), SETTINGS, forgetful)
     logs = np.log([0.5, 2.0, 1.0])
-    assert found[2:] == pytest.approx((logs.mean(), logs.std(ddof=1) / np.sqrt(3)))
+    assert result[2:] == pytest.approx((logs.mean(), logs.std(ddof=1) / np.sqrt(3)))
 
 
 def test_depth_is_off_by_what_matched_points_say():

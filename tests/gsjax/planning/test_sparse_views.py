@@ -43,9 +43,9 @@ def arc(degrees, *, held_out=(), alone=0):
     viewmats[:, :2, 3] = -AWAY * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     unread, K = (lambda: pytest.fail("no pixels")), np.eye(3, dtype=np.float32)
     frames = tuple(Frame(f"{i}.jpg", viewmats[i], K, 10, 10, unread, i in held_out) for i in range(PHOTOS))
-    seen = [np.arange(POINTS - (alone if i else 0), dtype=np.int32) for i in range(PHOTOS)]
-    photo = np.repeat(np.arange(PHOTOS, dtype=np.int32), [len(each) for each in seen])
-    point = np.concatenate(seen)
+    point_ids = [np.arange(POINTS - (alone if i else 0), dtype=np.int32) for i in range(PHOTOS)]
+    photo = np.repeat(np.arange(PHOTOS, dtype=np.int32), [len(each) for each in point_ids])
+    point = np.concatenate(point_ids)
     tracks = Tracks(tuple(f.name for f in frames), photo, point, np.zeros((len(point), 2), np.float32))
     points = np.random.default_rng(0).normal(size=(POINTS, 3)).astype(np.float32)
     return Scene(Path("arc"), "colmap", frames, points, np.zeros((POINTS, 3), np.uint8), tracks=lambda: tracks)
@@ -59,39 +59,41 @@ def test_the_angle_is_that_to_the_nearest_photo_that_is_trained_on(monkeypatch, 
 
 
 def test_regularized_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none():
-    found = regularize(PLAN)
-    assert found.max_gaussians == 500
-    assert (found.stereo_points, PLAN.stereo_points) == (55, 0), "one for nine Gaussians"
-    weights = [{each.name: each.weight for each in phase.terms} for phase in found.phases]
+    regularized_plan = regularize(PLAN)
+    assert regularized_plan.max_gaussians == 500
+    assert (regularized_plan.stereo_points, PLAN.stereo_points) == (55, 0), "one for nine Gaussians"
+    weights = [{each.name: each.weight for each in phase.terms} for phase in regularized_plan.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
-    assert [phase.dropout for phase in found.phases] == [LEFT_OUT, LEFT_OUT]
-    assert len(found.phases[0].terms) == len(PLAN.phases[0].terms) + 1
-    assert regularize(found, may_lower=False) == found, "a run that goes on is the run that it was"
+    assert [phase.dropout for phase in regularized_plan.phases] == [LEFT_OUT, LEFT_OUT]
+    assert len(regularized_plan.phases[0].terms) == len(PLAN.phases[0].terms) + 1
+    assert regularize(regularized_plan, may_lower=False) == regularized_plan, (
+        "a run that goes on is the run that it was"
+    )
 
 
 @pytest.mark.parametrize("degrees", [FAR_APART - 1, FAR_APART + 1])
 @pytest.mark.parametrize("trial", [None, never], ids=["without trials", "in a short run"])
 def test_the_angle_decides_where_no_trial_does(degrees, trial):
     """A run that begins in another's checkpoint has no beginning to try, and a short one no time."""
-    asked, is_far = SETTINGS.replace(schedule={"phases": SHORT_PHASES}) if trial else SETTINGS, degrees > FAR_APART
-    found, decision = for_sparse_views(plan(asked), arc(degrees), asked.schedule, trial=trial)
-    assert found == (regularize(plan(asked)) if is_far else plan(asked))
+    settings, is_far = SETTINGS.replace(schedule={"phases": SHORT_PHASES}) if trial else SETTINGS, degrees > FAR_APART
+    final_plan, decision = for_sparse_views(plan(settings), arc(degrees), settings.schedule, trial=trial)
+    assert final_plan == (regularize(plan(settings)) if is_far else plan(settings))
     assert (decision is not None) == is_far
     if is_far:
         assert decision == Decision(PHOTOS, pytest.approx(degrees, abs=0.02), None, None, held_back=True)
-        assert decision.line(found).startswith(
+        assert decision.line(final_plan).startswith(
             f"{PHOTOS} photos {degrees:.0f} degrees apart: sparse-view regularization with 500 Gaussians"
         )
-        assert f"each step leaves out {LEFT_OUT:.0%}" in decision.line(found)
+        assert f"each step leaves out {LEFT_OUT:.0%}" in decision.line(final_plan)
 
 
 @pytest.mark.parametrize("brings", [0.4, -0.4])
 @pytest.mark.parametrize("degrees", [4.0, FAR_APART + 1])
 def test_trials_decide_of_few_photos_and_what_they_found_is_told(degrees, brings):
-    found, decision = for_sparse_views(PLAN, arc(degrees), SETTINGS.schedule, trial=lambda *_: Gain(brings, 0.1))
-    assert found == (regularize(PLAN) if brings > 0 else PLAN)
+    final_plan, decision = for_sparse_views(PLAN, arc(degrees), SETTINGS.schedule, trial=lambda *_: Gain(brings, 0.1))
+    assert final_plan == (regularize(PLAN) if brings > 0 else PLAN)
     assert decision.held_back == (brings > 0)
-    assert f"{brings:+.1f} +-0.1 dB" in decision.line(found)
+    assert f"{brings:+.1f} +-0.1 dB" in decision.line(final_plan)
 
 
 @pytest.mark.parametrize(
@@ -107,16 +109,16 @@ def test_trials_decide_of_few_photos_and_what_they_found_is_told(degrees, brings
     ],
 )
 def test_depth_decides_where_pictures_are_not_sure(gain, helps):
-    found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=lambda *_: gain)
+    final_plan, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=lambda *_: gain)
     assert gain.helps == decision.held_back == helps
-    assert found == (regularize(PLAN) if helps else PLAN)
-    told = gain.depth is not None
-    assert ("the error of depth" in decision.line(found)) == told
-    assert not told or f"{np.exp(gain.depth):.2f} times the error of depth" in decision.line(found)
+    assert final_plan == (regularize(PLAN) if helps else PLAN)
+    has_depth = gain.depth is not None
+    assert ("the error of depth" in decision.line(final_plan)) == has_depth
+    assert not has_depth or f"{np.exp(gain.depth):.2f} times the error of depth" in decision.line(final_plan)
 
 
 @pytest.mark.parametrize(
-    ("photos", "degrees", "steps", "tried"),
+    ("photos", "degrees", "steps", "expected"),
     [
         (FEW, 4.0, SHORTEST, True),
         (FEW + 1, 4.0, SHORTEST, False),
@@ -127,14 +129,16 @@ def test_depth_decides_where_pictures_are_not_sure(gain, helps):
         (FEWEST - 1, FAR_APART + 1, SHORTEST, False),
     ],
 )
-def test_many_photos_side_by_side_and_short_runs_are_not_tried(photos, degrees, steps, tried):
-    assert is_tried(photos, degrees, steps) == tried
+def test_many_photos_side_by_side_and_short_runs_are_not_tried(photos, degrees, steps, expected):
+    assert is_tried(photos, degrees, steps) == expected
 
 
 @pytest.mark.parametrize("gain", [None, 0.4, -0.4])
 def test_a_run_that_goes_on_is_as_it_was_decided(gain):
     error, was_held = None if gain is None else 0.1, gain is None or gain > 0
-    known = asdict(Decision(PHOTOS, 30.0, gain, error, held_back=was_held))
-    found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS.schedule, trial=never, before=known, may_lower=False)
-    assert asdict(decision) == known
-    assert found == (regularize(PLAN, may_lower=False) if was_held else PLAN)
+    record = asdict(Decision(PHOTOS, 30.0, gain, error, held_back=was_held))
+    final_plan, decision = for_sparse_views(
+        PLAN, arc(4.0), SETTINGS.schedule, trial=never, before=record, may_lower=False
+    )
+    assert asdict(decision) == record
+    assert final_plan == (regularize(PLAN, may_lower=False) if was_held else PLAN)

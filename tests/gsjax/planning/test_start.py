@@ -15,12 +15,12 @@ WALL = wall(3, num_points=100)
 PLAN = plan(Settings(model=Model(stereo_points=50, max_gaussians=900)))
 
 
-def found(scene, count):
+def fake_points(scene, count):
     return StereoPoints(np.ones((count, 3), np.float32), np.full((count, 3), 7, np.uint8), f"{count} more")
 
 
 def test_points_come_after_the_scenes_own_and_have_a_line(monkeypatch):
-    monkeypatch.setattr(start, "stereo_points", found)
+    monkeypatch.setattr(start, "stereo_points", fake_points)
     more, lines = start.with_stereo_points(WALL, PLAN)
     assert lines == ("50 more",)
     np.testing.assert_array_equal(more.points, np.concatenate([WALL.points, np.ones((50, 3), np.float32)]))
@@ -30,7 +30,7 @@ def test_points_come_after_the_scenes_own_and_have_a_line(monkeypatch):
 
 
 def test_they_are_half_of_the_budget_at_most(monkeypatch):
-    monkeypatch.setattr(start, "stereo_points", found)
+    monkeypatch.setattr(start, "stereo_points", fake_points)
     more, _ = start.with_stereo_points(WALL, replace(PLAN, stereo_points=500))
     assert len(more.points) - len(WALL.points) == 450
 

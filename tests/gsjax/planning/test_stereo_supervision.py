@@ -37,18 +37,18 @@ def swept(monkeypatch):
 
 
 def test_depth_is_that_of_the_photo_at_its_size_and_nothing_elsewhere(swept):
-    found = stereo_supervision(SCENE, ASKED, None)
+    supervision = stereo_supervision(SCENE, ASKED, None)
     assert swept == [100]
-    depths = found.depths(SCENE.frames)
+    depths = supervision.depths(SCENE.frames)
     assert depths is not None
     for scale in (1, 2):
         (depth, trust), *others = depths(scale)
         assert depth.shape == trust.shape == (72 // scale, 96 // scale)
-        known = np.arange(96 // scale) >= 48 // scale
-        np.testing.assert_array_equal(depth, np.broadcast_to(3 * known, depth.shape))
-        np.testing.assert_array_equal(trust, np.broadcast_to(255 * known, depth.shape))
+        is_known = np.arange(96 // scale) >= 48 // scale
+        np.testing.assert_array_equal(depth, np.broadcast_to(3 * is_known, depth.shape))
+        np.testing.assert_array_equal(trust, np.broadcast_to(255 * is_known, depth.shape))
         assert len(others) == 2 and not any(each.any() for pair in others for each in pair)
-    np.testing.assert_array_equal(found.normals[SCENE.frames[0].name], NORMALS)
+    np.testing.assert_array_equal(supervision.normals[SCENE.frames[0].name], NORMALS)
 
 
 @pytest.mark.parametrize(
@@ -61,31 +61,31 @@ def test_depth_is_that_of_the_photo_at_its_size_and_nothing_elsewhere(swept):
     ids=["not asked for", "vanilla", "maps of both are given"],
 )
 def test_nothing_is_compared_where_nothing_asks_for_it(swept, settings):
-    found = stereo_supervision(SCENE, settings, None)
-    assert not swept and not found.maps and found.depths(SCENE.frames) is None
+    supervision = stereo_supervision(SCENE, settings, None)
+    assert not swept and not supervision.maps and supervision.depths(SCENE.frames) is None
 
 
 def test_a_resumed_run_reads_its_own_maps_and_compares_nothing(swept, tmp_path):
     write_stereo_maps(tmp_path, MAPS)
-    found = stereo_supervision(SCENE, ASKED, tmp_path)
-    assert not swept and list(found.maps) == list(MAPS)
-    np.testing.assert_array_equal(found.maps[SCENE.frames[0].name].depth, DEPTH)
+    supervision = stereo_supervision(SCENE, ASKED, tmp_path)
+    assert not swept and list(supervision.maps) == list(MAPS)
+    np.testing.assert_array_equal(supervision.maps[SCENE.frames[0].name].depth, DEPTH)
 
 
 def test_a_resumed_run_without_maps_has_none(swept, tmp_path):
-    found = stereo_supervision(SCENE, ASKED, tmp_path)
-    assert not swept and not found.maps
+    supervision = stereo_supervision(SCENE, ASKED, tmp_path)
+    assert not swept and not supervision.maps
 
 
 def test_photos_that_were_never_matched_have_no_stereo():
-    found = stereo_supervision(replace(SCENE, tracks=None), ASKED, None)
-    assert not found.maps and found.depths(SCENE.frames) is None
+    supervision = stereo_supervision(replace(SCENE, tracks=None), ASKED, None)
+    assert not supervision.maps and supervision.depths(SCENE.frames) is None
 
 
 def test_presets_for_photos_ask_for_it_but_for_the_quickest():
-    asked = {name: preset.get("supervision", {}).get("stereo_weight", 0) for name, preset in PRESETS.items()}
+    weights = {name: preset.get("supervision", {}).get("stereo_weight", 0) for name, preset in PRESETS.items()}
     photos = {"fast", "balanced", "accurate"}
-    assert {name for name, stereo in asked.items() if stereo} == photos
+    assert {name for name, stereo in weights.items() if stereo} == photos
 
 
 def test_the_term_of_depth_is_in_every_phase_until_there_is_no_depth():

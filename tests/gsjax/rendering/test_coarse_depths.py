@@ -25,6 +25,6 @@ def test_a_coarse_view_shows_a_slanted_wall_at_the_depths_of_its_pixels():
     x = (np.arange(19) + 0.5 - view.camera.K[0, 2]) / view.camera.K[0, 0] * view.depth[6]
     points = np.stack([x + 0.3, np.zeros(19), view.depth[6]], axis=-1)
     np.testing.assert_allclose(view.depth[6], WALL + 0.3 * x, rtol=1e-5)
-    z, found = depths_at(points, view)
-    np.testing.assert_allclose(found, z, rtol=1e-5)
+    z, depths = depths_at(points, view)
+    np.testing.assert_allclose(depths, z, rtol=1e-5)
     assert depths_at(points + [0, 0, 100.0] - [900.0, 0, 0], view)[1].max() == 0

@@ -17,7 +17,7 @@ CAMERAS = [
 
 
 @pytest.fixture(scope="module")
-def shown():
+def scene_and_pictures():
     scene = cloud(30)
     return scene, list(gallery.pictures(scene, CAMERAS, BACKGROUND, with_owners=True))
 
@@ -31,8 +31,8 @@ def reference(scene, camera, **options):
 
 
 @pytest.mark.parametrize("index", [0, 1])
-def test_a_picture_has_its_cameras_size_and_content(shown, index):
-    scene, pictures = shown
+def test_a_picture_has_its_cameras_size_and_content(scene_and_pictures, index):
+    scene, pictures = scene_and_pictures
     picture, camera = pictures[index], CAMERAS[index]
     image, alphas, _ = reference(scene, camera, depth_mode="plane")
     image, alphas = np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
@@ -42,14 +42,14 @@ def test_a_picture_has_its_cameras_size_and_content(shown, index):
     assert_close(picture.depth, np.where(alphas > MIN_COVERAGE, image[..., 3], 0))
 
 
-def test_pictures_are_numpy_and_float32(shown):
-    for picture in shown[1]:
+def test_pictures_are_numpy_and_float32(scene_and_pictures):
+    for picture in scene_and_pictures[1]:
         assert all(isinstance(part, np.ndarray) for part in picture)
         assert [part.dtype for part in picture] == 3 * [np.float32] + [np.int32]
 
 
-def test_owners_are_the_medians_of_the_reference(shown):
-    scene, pictures = shown
+def test_owners_are_the_medians_of_the_reference(scene_and_pictures):
+    scene, pictures = scene_and_pictures
     camera = CAMERAS[0]
     projection = rasterizer.project(
         scene.means, scene.quats, scales(scene), opacities(scene), camera.viewmat[None], camera.K[None], 24, 20
@@ -69,14 +69,14 @@ def test_colours_are_clipped_and_numpy_scenes_will_do():
     assert picture.colors.min() == 0 and picture.colors.max() == 1
 
 
-def test_masked_pictures_show_nothing_where_the_photo_does_not_count(shown):
+def test_masked_pictures_show_nothing_where_the_photo_does_not_count(scene_and_pictures):
     valid = np.random.default_rng(0).random((20, 24)) > 0.4
-    first, second = gallery.mask_pictures(iter(shown[1]), iter([valid, None]))
-    for before, after, nothing in zip(shown[1][0], first, (0, 0, 0, -1), strict=True):
+    first, second = gallery.mask_pictures(iter(scene_and_pictures[1]), iter([valid, None]))
+    for before, after, nothing in zip(scene_and_pictures[1][0], first, (0, 0, 0, -1), strict=True):
         assert after.dtype == before.dtype and (before[~valid] != nothing).any()
         np.testing.assert_array_equal(after[valid], before[valid])
         assert (after[~valid] == nothing).all()
-    assert second is shown[1][1]
+    assert second is scene_and_pictures[1][1]
 
 
 def test_scenes_that_need_about_as_many_pairs_share_a_program(monkeypatch):

@@ -39,8 +39,8 @@ def test_what_other_views_look_through_or_one_alone_has_near_hangs_in_the_air():
         (0.0, 0.0, -3.0): False,  # behind the cameras
         (np.nan, 0.0, 2.0): False,
     }
-    found = are_floaters(at(*expected), views)
-    assert dict(zip(map(str, expected), found.tolist(), strict=True)) == {str(k): v for k, v in expected.items()}
+    is_floater = are_floaters(at(*expected), views)
+    assert dict(zip(map(str, expected), is_floater.tolist(), strict=True)) == {str(k): v for k, v in expected.items()}
 
 
 def test_a_post_that_two_views_show_is_none_nor_what_is_as_thick_as_its_distance_to_the_wall():

@@ -22,7 +22,7 @@ SCENE = cloud(ALIVE, capacity=48, sh_degree=2)
 
 
 @partial(jax.jit, static_argnames=("depth_mode", "with_axes"))
-def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, **options):
+def render_view(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, **options):
     how = {"capacity": CAPACITY, "background": background, "active_degree": active_degree, "with_depth": True}
     return rendering.render(gaussians, camera, **how, **options)
 
@@ -38,7 +38,7 @@ def dense_reference(gaussians, sh_degree=2, **options):
 @pytest.mark.parametrize("depth_mode", ["plane", "center"])
 def test_a_view_equals_the_dense_reference(depth_mode):
     image, alphas = dense_reference(SCENE, depth_mode=depth_mode)
-    view = shown(SCENE, depth_mode=depth_mode)
+    view = render_view(SCENE, depth_mode=depth_mode)
     assert not bool(view.splats.pairs.overflowed)
     assert_close(view.alphas, alphas)
     assert_close(view.colors, image[..., :3] + (1 - alphas[..., None]) * np.asarray(BACKGROUND))
@@ -68,12 +68,12 @@ def test_depth_in_front_is_the_references_and_so_is_its_gradient():
         return weighed(in_front_of_reference(gaussians, reading))
 
     def of_view(gaussians):
-        return weighed(shown(gaussians, depth_mode=reading).depth)
+        return weighed(render_view(gaussians, depth_mode=reading).depth)
 
-    (_, found), gradient = jax.jit(jax.value_and_grad(of_view, has_aux=True))(SCENE)
+    (_, front_depth), gradient = jax.jit(jax.value_and_grad(of_view, has_aux=True))(SCENE)
     (_, depth), expected = jax.jit(jax.value_and_grad(of_reference, has_aux=True))(SCENE)
-    assert_close(found, depth)
-    assert float(jnp.abs(found - shown(SCENE).depth).max()) > 0.01
+    assert_close(front_depth, depth)
+    assert float(jnp.abs(front_depth - render_view(SCENE).depth).max()) > 0.01
     for name in ("means", "quats", "log_scales", "logit_opacities"):
         assert_close(getattr(gradient, name), getattr(expected, name))
         assert float(jnp.abs(getattr(expected, name)).max()) > 0
@@ -86,7 +86,10 @@ def test_what_shines_through_from_behind_is_not_in_the_depth_in_front():
     both = jax.tree.map(lambda *rows: jnp.concatenate(rows), near, far)
     camera = camera_at()
     middle = slice(8, 16), slice(10, 22)
-    of = {mode: np.asarray(shown(both, 0, camera=camera, depth_mode=mode).depth)[middle] for mode in ("plane", "front")}
+    of = {
+        mode: np.asarray(render_view(both, 0, camera=camera, depth_mode=mode).depth)[middle]
+        for mode in ("plane", "front")
+    }
     assert of["plane"].min() > 2.1
     assert np.abs(of["front"] - 2).max() < 0.02
 
@@ -100,7 +103,7 @@ def test_the_gradient_of_depth_turns_and_stretches_splats():
     @jax.jit
     @jax.value_and_grad
     def objective(free):
-        return jnp.mean(weights * shown(replace(disc, **free), 0, camera).depth)
+        return jnp.mean(weights * render_view(replace(disc, **free), 0, camera).depth)
 
     free = {"quats": disc.quats, "log_scales": disc.log_scales}
     gradient = objective(free)[1]
@@ -115,29 +118,29 @@ def test_the_gradient_of_depth_turns_and_stretches_splats():
 def test_the_mip_filter_is_the_antialiased_reference_and_absent_where_it_is_not_asked_for():
     filtered = replace(SCENE, pixel_filter="mip")
     image, alphas = dense_reference(SCENE, eps2d=0.1, rasterize_mode="antialiased")
-    view = shown(filtered)
+    view = render_view(filtered)
     assert_close(view.alphas, alphas)
     assert_close(view.colors, image[..., :3] + (1 - alphas[..., None]) * np.asarray(BACKGROUND))
-    assert float(jnp.abs(view.alphas - shown(SCENE).alphas).max()) > 0.01
+    assert float(jnp.abs(view.alphas - render_view(SCENE).alphas).max()) > 0.01
     assert int(jax.jit(rendering.needed_capacity)(filtered, CAMERA)) == int(view.splats.pairs.needed)
-    assert shown(SCENE).splats.projection.compensations is None
+    assert render_view(SCENE).splats.projection.compensations is None
 
 
 def test_the_ramp_equals_truncated_harmonics():
     degree = 1
     image, alphas = dense_reference(SCENE, sh_degree=degree)
-    view = shown(SCENE, degree)
+    view = render_view(SCENE, degree)
     assert_close(view.colors, image[..., :3] + (1 - alphas[..., None]) * np.asarray(BACKGROUND))
-    assert float(jnp.abs(view.colors - shown(SCENE).colors).max()) > 0.01
+    assert float(jnp.abs(view.colors - render_view(SCENE).colors).max()) > 0.01
 
 
 def test_a_new_degree_pose_or_background_does_not_recompile(monkeypatch):
-    shown(SCENE, 0, CAMERA, BACKGROUND)
+    render_view(SCENE, 0, CAMERA, BACKGROUND)
     monkeypatch.setattr(rendering, "render", None)  # called where a program is traced
-    shown(SCENE, 1, CAMERA, BACKGROUND)
-    shown(SCENE, 3, camera_at((0.0, 0.0, 0.5), focal=40.0), 1 - BACKGROUND)
+    render_view(SCENE, 1, CAMERA, BACKGROUND)
+    render_view(SCENE, 3, camera_at((0.0, 0.0, 0.5), focal=40.0), 1 - BACKGROUND)
     with pytest.raises(TypeError, match="not callable"):
-        shown(SCENE, 0, camera_at(size=(33, 24)), BACKGROUND)
+        render_view(SCENE, 0, camera_at(size=(33, 24)), BACKGROUND)
 
 
 def test_dead_rows_are_invisible_and_have_no_gradient():
@@ -148,9 +151,9 @@ def test_dead_rows_are_invisible_and_have_no_gradient():
         for name, rows in vars(SCENE).items()
         if name not in ("logit_opacities", "pixel_filter")
     }
-    view, changed = shown(SCENE), shown(replace(SCENE, **parts))
+    view, changed = render_view(SCENE), render_view(replace(SCENE, **parts))
     assert_close((view.colors, view.alphas, view.depth), (changed.colors, changed.alphas, changed.depth))
-    gradient = jax.jit(jax.grad(lambda g: jnp.sum(shown(g).colors ** 2)))(SCENE)
+    gradient = jax.jit(jax.grad(lambda g: jnp.sum(render_view(g).colors ** 2)))(SCENE)
     for leaf in jax.tree.leaves(gradient):
         assert bool(jnp.isfinite(leaf).all())
         assert float(jnp.abs(leaf[:ALIVE]).max()) > 0
@@ -160,14 +163,14 @@ def test_dead_rows_are_invisible_and_have_no_gradient():
 def test_depth_is_zero_where_little_is_covered():
     faint = plane((0.0, 0.0, -1.0))
     faint = replace(faint, logit_opacities=jnp.full_like(faint.logit_opacities, -3.5))
-    view = shown(faint, 0, camera_at())
+    view = render_view(faint, 0, camera_at())
     assert 0.01 < float(view.alphas.min()) <= float(view.alphas.max()) < rendering.MIN_COVERAGE
     assert not np.any(view.depth)
 
 
 def test_axes_and_further_channels_are_composited_beside_colours_and_depth():
     values = 0.1 * jnp.arange(96, dtype=jnp.float32).reshape(48, 2)
-    plain, view = shown(SCENE), shown(SCENE, extra=values, with_axes=True)
+    plain, view = render_view(SCENE), render_view(SCENE, extra=values, with_axes=True)
     assert plain.axes is None and plain.extra is None
     axes = rendering.facing_axes(rendering.drawable(SCENE), CAMERA, plain.splats.projection)
     assert_close(view.axes, rendering.features(plain.splats, axes)[0])
@@ -179,21 +182,21 @@ def test_axes_in_the_common_pass_have_the_gradient_of_a_pass_of_their_own():
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(24, 32, 3)), jnp.float32)
 
     def together(gaussians):
-        return jnp.sum(weights * shown(gaussians, with_axes=True).axes)
+        return jnp.sum(weights * render_view(gaussians, with_axes=True).axes)
 
     def alone(gaussians):
         splats = rendering.splat(gaussians, CAMERA, CAPACITY)
         axes = rendering.facing_axes(rendering.drawable(gaussians), CAMERA, splats.projection)
         return jnp.sum(weights * rendering.features(splats, axes)[0])
 
-    found, expected = (jax.jit(jax.grad(each))(SCENE) for each in (together, alone))
+    gradient, expected = (jax.jit(jax.grad(each))(SCENE) for each in (together, alone))
     assert np.abs(expected.quats[:ALIVE]).max() > 0.1
     for name in ("means", "quats", "log_scales", "logit_opacities"):
-        assert_close(getattr(found, name), getattr(expected, name))
+        assert_close(getattr(gradient, name), getattr(expected, name))
 
 
 def test_nothing_enters_from_a_row_that_is_not_visible():
-    view = shown(SCENE)
+    view = render_view(SCENE)
     hidden = ~np.asarray(view.splats.projection.visible[0])
     assert hidden[ALIVE:].all()
     values = jnp.where(jnp.asarray(hidden)[:, None], jnp.float32(jnp.nan), 1.0)
@@ -202,7 +205,7 @@ def test_nothing_enters_from_a_row_that_is_not_visible():
 
 def test_the_capacity_that_a_view_needs_is_counted_before_it_is_rendered():
     needed = int(jax.jit(rendering.needed_capacity)(SCENE, CAMERA))
-    pairs = shown(SCENE).splats.pairs
+    pairs = render_view(SCENE).splats.pairs
     assert int(pairs.needed) == needed < CAPACITY and not bool(pairs.overflowed)
     assert bool(jax.jit(rendering.splat, static_argnums=2)(SCENE, CAMERA, needed - 1).pairs.overflowed)
 
@@ -223,7 +226,7 @@ def test_without_depth_there_is_no_depth_in_the_program():
 @pytest.mark.parametrize("backend", ["xla", "reference"])
 def test_any_backend_shows_the_same(backend):
     how = {"capacity": CAPACITY, "background": BACKGROUND, "with_depth": True, "depth_mode": "front"}
-    of_it, usual = rendering.render(SCENE, CAMERA, backend=backend, **how), shown(SCENE, depth_mode="front")
+    of_it, usual = rendering.render(SCENE, CAMERA, backend=backend, **how), render_view(SCENE, depth_mode="front")
     assert of_it.splats.backend == backend
     assert_close(of_it.colors, usual.colors)
     assert_close(of_it.depth, usual.depth)

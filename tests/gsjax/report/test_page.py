@@ -173,7 +173,7 @@ def test_a_scan_is_one_page_of_its_stages_and_runs(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "expected"),
     [
         ("nothing", "holds no manifest.json; it is no run folder"),
         ("metrics", "metrics.jsonl, line 2: is no JSON"),
@@ -182,7 +182,7 @@ def test_a_scan_is_one_page_of_its_stages_and_runs(tmp_path):
         ("scan", "is the folder of neither a run nor a scan"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, fault, told):
+def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, fault, expected):
     folder = tmp_path / "empty" if fault in ("nothing", "scan") else run
     folder.mkdir(exist_ok=True)
     if fault in ("metrics", "record"):
@@ -199,7 +199,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, fault, 
     for command in commands:
         assert cli.main(command) == 2
         message = capsys.readouterr().err
-        assert told in message and message.count("\n") == 1
+        assert expected in message and message.count("\n") == 1
     assert not list(tmp_path.rglob("*.html"))
 
 
@@ -225,13 +225,13 @@ def test_seeds_are_pooled_and_settings_that_differ_are_named(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("names", "out", "told"),
+    ("names", "out", "message"),
     [
         (["a"], "c.html", "nothing to compare .*a with"),
         (["a", "a"], "c.html", "named twice"),
         (["a", "b"], "c.txt", "html"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(tmp_path, names, out, told):
-    with pytest.raises(InputError, match=told):
+def test_what_cannot_be_compared_is_refused(tmp_path, names, out, message):
+    with pytest.raises(InputError, match=message):
         pipeline.compare([tmp_path / name for name in names], tmp_path / out)

@@ -62,12 +62,12 @@ def test_the_first_difference_is_named(tmp_path, like, message):
         checkpoints.load(tmp_path / "x.npz", like)
 
 
-@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
-def test_a_truncated_file_is_one_line(tmp_path, kept):
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])
+def test_a_truncated_file_is_one_line(tmp_path, share):
     path = tmp_path / "state.npz"
     checkpoints.save(path, {"a": np.arange(1000, dtype=np.float32)})
     whole = path.read_bytes()
-    path.write_bytes(whole[: int(len(whole) * kept)])
+    path.write_bytes(whole[: int(len(whole) * share)])
     with pytest.raises(InputError, match=r"state\.npz: truncated or damaged checkpoint") as caught:
         checkpoints.load_arrays(path)
     assert "\n" not in str(caught.value)

@@ -12,7 +12,7 @@ from gsjax.settings import Settings
 def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
     monkeypatch.setattr(compilations, "_SHORTEST", 0.0)
     values = jnp.arange(7.0)
-    with Compilations() as seen:
+    with Compilations() as listener:
 
         @jax.jit
         def halved(x):
@@ -20,11 +20,11 @@ def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
 
         for _ in range(2):
             halved(values)
-        (told,) = [one for one in seen.drain() if one["program"] == "halved"]
-        assert told["seconds"] >= 0
-        assert seen.drain() == []
+        (record,) = [one for one in listener.drain() if one["program"] == "halved"]
+        assert record["seconds"] >= 0
+        assert listener.drain() == []
     jax.jit(lambda x: x - 3)(values)
-    assert seen.drain() == []
+    assert listener.drain() == []
 
 
 def test_a_run_begins_with_room_for_its_programs(monkeypatch, tmp_path):

@@ -91,7 +91,7 @@ for kind in kinds:
         print(kind, count, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=True)
-    wanted, writes = {"config.json", "plan.json", "manifest.json", "checkpoints"}, {"absent": 4, "empty": 3}
+    names, writes = {"config.json", "plan.json", "manifest.json", "checkpoints"}, {"absent": 4, "empty": 3}
     for kind, count, code in map(str.split, done.stdout.splitlines()):
         run = tmp_path / f"{kind}_{count}"
         assert int(code) == (7 if int(count) >= writes[kind] else 9)
@@ -99,7 +99,7 @@ for kind in kinds:
             assert not runs.is_run(run)
             assert kind == "absent" and not run.exists() or not runs.can_resume(run)
             runs.create(run, {"seed": 3}, scene="scene", seed=3, plan={})
-        assert wanted <= set(os.listdir(run)) and json_files.read(run / "config.json") == {"seed": 3}
+        assert names <= set(os.listdir(run)) and json_files.read(run / "config.json") == {"seed": 3}
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")], "the next has swept"
 
 
@@ -159,8 +159,8 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(run, capsys):
     assert line.endswith("resuming from step_0000005.npz\n")
     only = run / "checkpoints/step_0000005.npz"
     only.write_bytes(b"")
-    told = "step_0000005.npz: .*without this file, --resume begins at"
-    with pytest.raises(InputError, match=told), runs.claim_run(run):
+    message = "step_0000005.npz: .*without this file, --resume begins at"
+    with pytest.raises(InputError, match=message), runs.claim_run(run):
         pass
     assert only.exists() and runs.is_run(run)
 

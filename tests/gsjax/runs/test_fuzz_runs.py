@@ -59,10 +59,10 @@ def whole(tmp_path_factory):
         record = {"step": step, "loss": 0.5, "psnr": 20.0, "gaussians": 20, "seconds": 1.5 * step, "phase": "coarse"}
         runs.append_metrics(run, record)
     evidence = {"on": True, "evidence": 0.2, "noise": None, "threshold": 0.1, "unit": "EV", "note": "seen"}
-    told = {"simulated": ["exposure"], "evidence": {"exposure": evidence}}
+    record = {"simulated": ["exposure"], "evidence": {"exposure": evidence}}
     stages = {"eval": {"seconds": 3.0, "peak_gib": 1.0, "psnr": 21.0, "floor": {"chamfer": 0.1}}}
     runs.update_manifest(
-        run, status="done", effects=told, stages=stages, psnr=21.0, ssim=0.8, steps=10, train_seconds=15.0, photos="3"
+        run, status="done", effects=record, stages=stages, psnr=21.0, ssim=0.8, steps=10, train_seconds=15.0, photos="3"
     )
     return run
 
@@ -104,8 +104,8 @@ def test_fuzz_checkpoints(tmp_path):
     (tmp_path / "metrics.jsonl").write_text("")
 
     def read():
-        begun = starting_point(tmp_path, lambda rows: State(cloud(rows or 20), np.int32(0)))
-        assert begun.state.gaussians.means.shape == (20, 3)
+        start = starting_point(tmp_path, lambda rows: State(cloud(rows or 20), np.int32(0)))
+        assert start.state.gaussians.means.shape == (20, 3)
 
     assert all(fuzz_files(read, path, usual=150))
 

@@ -75,9 +75,9 @@ def test_own_normals_are_those_of_the_surface_and_lie_in_the_run(tilted, tmp_pat
     maps = NormalSource(tmp_path, None, None, FRAMES)(tilted, FRAMES)
     assert [m.shape for m in maps] == [(32, 40, 3)] * 3
     for normals in maps:
-        known = np.any(normals, axis=-1)
-        assert known.mean() > 0.9
-        assert angles(normals[known], NORMAL).mean() < 3
+        has_normal = np.any(normals, axis=-1)
+        assert has_normal.mean() > 0.9
+        assert angles(normals[has_normal], NORMAL).mean() < 3
     assert sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.png")) == [
         "normals/b.png",
         "normals/c.png",
@@ -173,8 +173,8 @@ def test_stereo_normals_serve_where_no_maps_are_given_and_are_not_filtered(tilte
     assert not maps[0].any() and not maps[2].any()
     np.testing.assert_array_equal(maps[1], half.repeat(2, axis=0).repeat(2, axis=1))
     assert_close(source.shares_compared(FRAMES), np.ones(3))
-    given = NormalSource(tmp_path / "other", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, stereo=stereo)
-    assert all(np.any(each, axis=-1).all() for each in given(tilted, FRAMES))
+    map_source = NormalSource(tmp_path / "other", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, stereo=stereo)
+    assert all(np.any(each, axis=-1).all() for each in map_source(tilted, FRAMES))
 
 
 def test_of_photos_whose_given_maps_are_rejected_stereo_normals_serve(tilted, foreign, tmp_path, monkeypatch):
@@ -185,29 +185,29 @@ def test_of_photos_whose_given_maps_are_rejected_stereo_normals_serve(tilted, fo
     half = np.zeros((16, 20, 3), np.int8)
     half[:, 10:] = [0, 0, -127]
     stereo = dict.fromkeys((FRAMES[0].name, FRAMES[1].name), half)
-    given = foreign((1, 0, 0), (1, 1, 1))
-    maps = NormalSource(tmp_path / "run", given, "+x+y+z", FRAMES, gated=True, stereo=stereo)(tilted, FRAMES)
+    map_folder = foreign((1, 0, 0), (1, 1, 1))
+    maps = NormalSource(tmp_path / "run", map_folder, "+x+y+z", FRAMES, gated=True, stereo=stereo)(tilted, FRAMES)
     np.testing.assert_array_equal(maps[0], half.repeat(2, axis=0).repeat(2, axis=1))
     for each in maps[1:]:
         assert (each == np.int8([127, 0, 0])).all()
 
 
 @pytest.mark.parametrize(
-    ("apart", "shares", "told"),
+    ("apart", "shares", "suffix"),
     [
         ([23.0, None, 40.0], [0.2, 1.0, 0.0], "; 40% of the comparisons of neighbours are made"),
         ([14.0, 15.0, 2.0], [1.0, 1.0, 1.0], ""),
     ],
 )
 def test_the_verdict_on_own_normals_says_how_often_photos_are_compared(
-    tilted, tmp_path, monkeypatch, apart, shares, told
+    tilted, tmp_path, monkeypatch, apart, shares, suffix
 ):
     lines = []
     monkeypatch.setattr(normal_source, "filter_normals", partial(leave_verdict, apart))
     own = NormalSource(tmp_path, None, None, FRAMES, gated=True, notify=lines.append)
     own(tilted, FRAMES)
     assert_close(own.shares_compared(FRAMES), np.array(shares))
-    assert lines == [f"they agree{told}"]
+    assert lines == [f"they agree{suffix}"]
 
 
 def test_with_maps_of_a_network_and_with_maps_that_nobody_judges_photos_are_compared_in_all_steps(

@@ -28,9 +28,9 @@ def test_files_of_a_run_are_refused(run, name):
 
 @pytest.mark.parametrize("name", ["images/a.png", "transforms.json", "points3D.ply", "mine/a.png"])
 def test_files_of_a_data_set_are_refused_and_those_of_a_run_s_too(scene, run, name):
-    for given in (scene, run):
+    for source in (scene, run):
         with pytest.raises(InputError, match="is what is read from"):
-            require_apart(scene / name, given)
+            require_apart(scene / name, source)
     require_apart(scene / "diagnosis.json", scene)
     require_apart(scene / "mesh.ply", scene)
 

@@ -89,9 +89,9 @@ def test_a_lost_process_ends_the_run_with_one_line_and_the_last_checkpoint_whole
         time.sleep(0.2)
     both[1].kill()
     assert both[0].wait(PATIENCE) == 2
-    said = (tmp_path / "0.log").read_text().splitlines()
-    assert said[-1] == "gsjax: error: another process of this run was lost; --resume continues from the last checkpoint"
-    assert "Traceback" not in "".join(said)
+    log = (tmp_path / "0.log").read_text().splitlines()
+    assert log[-1] == "gsjax: error: another process of this run was lost; --resume continues from the last checkpoint"
+    assert "Traceback" not in "".join(log)
     step, path = runs.latest_checkpoint(run)
     arrays = checkpoints.load_arrays(path)
     assert int(arrays["['state'].step"]) == step > 0

@@ -28,12 +28,14 @@ def frames() -> tuple[Frame, ...]:
     image = np.zeros((20, 24, 3), np.uint8)
     all_valid = np.full((20, 24), 255, np.uint8)
     masked = [Pixels(image, None, VALID), Pixels(image, None, all_valid)]
-    made = [frame_of(f"at/{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), masked[0]) for k, c in enumerate(CAMERAS)]
+    all_frames = [
+        frame_of(f"at/{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), masked[0]) for k, c in enumerate(CAMERAS)
+    ]
     return (
-        replace(made[0], held_out=True, pixels=unreadable),
-        made[1],
-        replace(made[2], pixels=lambda: masked[1]),
-        replace(made[3], pixels=unreadable, masked=False),
+        replace(all_frames[0], held_out=True, pixels=unreadable),
+        all_frames[1],
+        replace(all_frames[2], pixels=lambda: masked[1]),
+        replace(all_frames[3], pixels=unreadable, masked=False),
     )
 
 
@@ -53,9 +55,9 @@ def test_a_run_keeps_cameras_and_the_masks_of_training_views_that_hide_something
         np.testing.assert_array_equal(camera.viewmat, expected.viewmat)
         np.testing.assert_array_equal(camera.K, expected.K)
         assert (camera.width, camera.height) == (24, 20)
-    found = [read() for read in result.valid]
-    np.testing.assert_array_equal(found[1], VALID > 0)
-    assert found[0] is found[2] is found[3] is None
+    masks = [read() for read in result.valid]
+    np.testing.assert_array_equal(masks[1], VALID > 0)
+    assert masks[0] is masks[2] is masks[3] is None
 
 
 def test_training_pictures_are_empty_where_photos_are_masked(run):

@@ -29,12 +29,12 @@ def sphere(count, radius):
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (70.0, -20.0, 5.0)])
 def test_an_object_is_looked_at_from_all_around(place):
-    chosen = viewpoints.cameras_around(cloud(sphere(600, 1.0) + place))
-    eyes = np.array([np.asarray(cams.center(c)) for c in chosen]) - place
+    cameras = viewpoints.cameras_around(cloud(sphere(600, 1.0) + place))
+    eyes = np.array([np.asarray(cams.center(c)) for c in cameras]) - place
     assert np.linalg.norm(eyes, axis=1).min() > 1.5
     directions = eyes / np.linalg.norm(eyes, axis=1, keepdims=True)
     assert np.abs(directions.mean(axis=0)).max() < 0.1
-    forward = np.array([np.asarray(c.viewmat)[2, :3] for c in chosen])
+    forward = np.array([np.asarray(c.viewmat)[2, :3] for c in cameras])
     np.testing.assert_allclose(np.sum(forward * directions, axis=1), -1, atol=0.02)
 
 
@@ -73,9 +73,9 @@ def test_a_circle_of_a_mesh_is_twenty_degrees_above_it_and_every_view_holds_all_
     np.testing.assert_allclose(heights, np.sin(np.radians(20)), atol=0.02)
     for camera, offset in zip(circle, offsets, strict=True):
         viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
-        seen = (mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
-        pixels = seen[:, :2] / seen[:, 2:]
-        assert (seen[:, 2] > 0).all() and (pixels > 0).all() and (pixels < 512).all()
+        projections = (mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
+        pixels = projections[:, :2] / projections[:, 2:]
+        assert (projections[:, 2] > 0).all() and (pixels > 0).all() and (pixels < 512).all()
         assert np.ptp(pixels, axis=0).max() > 200, "the mesh fills the view"
         assert viewmat[1, :3] @ unit == pytest.approx(-np.cos(np.radians(20)), abs=0.02), "up is up in the picture"
         np.testing.assert_allclose(viewmat[2, :3], -offset / np.linalg.norm(offset), atol=0.02)

@@ -78,8 +78,8 @@ def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_p
     coverage[:2, 0] = 51
     for field in ("matte", "valid"):
         photo = frame(4, 4, **{field: coverage})
-        shown = photo.pixels()
-        poisoned = with_pixels(photo, shown._replace(image=np.where(coverage[..., None] > 0, shown.image, 255)))
+        pixels = photo.pixels()
+        poisoned = with_pixels(photo, pixels._replace(image=np.where(coverage[..., None] > 0, pixels.image, 255)))
         assert_close(
             batches.read_batches((poisoned,), scale=2).views[0].image[:, :1],
             batches.read_batches((photo,), scale=2).views[0].image[:, :1],
@@ -136,7 +136,7 @@ def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
     sent, put = [], jax.device_put
 
     def noted(target):
-        sent.append(next(i for i, known in enumerate(data.views) if known is target))
+        sent.append(next(i for i, candidate in enumerate(data.views) if candidate is target))
         return put(target)
 
     monkeypatch.setattr(jax, "device_put", noted)

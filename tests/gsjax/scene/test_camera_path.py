@@ -48,8 +48,8 @@ def test_a_flight_meets_its_keyframes_and_stays_rigid(closed):
 
 def test_an_orbit_is_a_circle_at_one_speed():
     viewmats, _ = fly(Keyframes(circle(36), np.full(36, 0.7), True), 100)
-    wanted = circle(100)
-    np.testing.assert_allclose(viewmats, wanted, atol=2e-4)
+    expected = circle(100)
+    np.testing.assert_allclose(viewmats, expected, atol=2e-4)
     centers = np.stack([viewmat_center(viewmat) for viewmat in viewmats])
     steps = np.linalg.norm(np.diff(centers, axis=0, append=centers[:1]), axis=1)
     np.testing.assert_allclose(steps, steps.mean(), rtol=1e-3)

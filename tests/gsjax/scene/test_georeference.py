@@ -32,16 +32,16 @@ def test_points_and_cameras_move_together():
     rng = np.random.default_rng(0)
     points, viewmat = rng.normal(size=(20, 3)), np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = Rotation.random(random_state=1).as_matrix(), [0.1, 0.2, 3.0]
-    seen = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    camera_points = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     placed = PLACE.viewmat_to_world(viewmat)
     again = PLACE.points_to_world(points) @ placed[:3, :3].T + placed[:3, 3]
-    assert_close(again, 2.5 * seen)  # the same picture, in metres
+    assert_close(again, 2.5 * camera_points)  # the same picture, in metres
     assert_close(placed[:3, :3] @ placed[:3, :3].T, np.eye(3))
 
 
 def test_a_record_is_the_place_to_the_last_digit_and_a_statement_is_it_of_files_in_the_world():
-    kept = json.loads(json.dumps(PLACE.record()))
-    assert parse_place(kept, "here") == PLACE
+    record = json.loads(json.dumps(PLACE.record()))
+    assert parse_place(record, "here") == PLACE
     assert parse_place(json.loads(json.dumps(PLACE.statement())), "here") == PLACE.reached
     assert not PLACE.reached.moves
 
@@ -111,12 +111,12 @@ def test_up_is_where_the_right_vectors_of_level_cameras_are_not():
         right = np.cross(forward, [0, 0, 1.0])
         axes = np.stack([right, np.cross(forward, right), forward])
         viewmats.append(np.c_[axes / np.linalg.norm(axes, axis=1, keepdims=True) @ TURN.T, np.zeros(3)])
-    found, error = up_of_cameras(np.stack(viewmats))
-    assert_close(found, up)
+    direction, error = up_of_cameras(np.stack(viewmats))
+    assert_close(direction, up)
     assert error < 1e-7
     _, error = up_of_cameras(np.stack(viewmats[:1] * 5))
     assert error == np.inf
-    assert_close(turn_upright(found) @ found, np.array([0, 0, 1.0]))
+    assert_close(turn_upright(direction) @ direction, np.array([0, 0, 1.0]))
     assert_close(turn_upright(-up) @ -up, np.array([0, 0, 1.0]))
 
 

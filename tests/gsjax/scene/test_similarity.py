@@ -59,7 +59,7 @@ def moved(world, points):
     return scale * points @ turn.T + shift
 
 
-def written(folder, world):
+def write_scene(folder, world):
     """The scene in a world, as `transforms.json` with a PLY of double points and one depth map."""
     scale, turn, _ = WORLDS[world]
     frames = []
@@ -78,7 +78,7 @@ def written(folder, world):
     return folder
 
 
-def seen(viewmats, points):
+def project(viewmats, points):
     """`[V, P, 2]` pixels, float64, of points before cameras; and the depths `[V, P]`."""
     local = np.einsum("vij,pj->vpi", viewmats[:, :3, :3], points) + viewmats[:, None, :3, 3]
     pixels = local @ K.T
@@ -87,11 +87,11 @@ def seen(viewmats, points):
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_what_is_read_looks_the_same_in_every_world(world, tmp_path):
-    scene = load_scene(written(tmp_path, world))
+    scene = load_scene(write_scene(tmp_path, world))
     viewmats = np.stack([frame.viewmat for frame in scene.frames])
     assert viewmats.dtype == scene.points.dtype == np.float32
-    pixels, depths = seen(viewmats.astype(np.float64), scene.points.astype(np.float64))
-    expected, expected_depths = seen(np.linalg.inv(POSES), POINTS)
+    pixels, depths = project(viewmats.astype(np.float64), scene.points.astype(np.float64))
+    expected, expected_depths = project(np.linalg.inv(POSES), POINTS)
     # Float32 coordinates within some tens of units: a few ten-thousandths of a pixel.
     np.testing.assert_allclose(pixels, expected, atol=2e-3)
     units = scene.similarity.scale * WORLDS[world][0]
@@ -104,7 +104,7 @@ def test_what_is_read_looks_the_same_in_every_world(world, tmp_path):
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_random_points_of_the_synthetic_layout_lie_where_its_cameras_look(world, tmp_path):
-    written(tmp_path, world)
+    write_scene(tmp_path, world)
     (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
     scene = load_scene(tmp_path)
     assert scene.source == "nerf-synthetic" and len(scene.points) > 25_000
@@ -116,7 +116,7 @@ def test_random_points_of_the_synthetic_layout_lie_where_its_cameras_look(world,
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_views_are_written_where_the_user_has_them_and_read_back(world, tmp_path):
-    scene = load_scene(written(tmp_path, world))
+    scene = load_scene(write_scene(tmp_path, world))
     run = runs.create(tmp_path / "run", {"background": "black"}, scene=tmp_path, seed=0, similarity=scene.similarity)
     write_views(run, scene.frames)
     assert runs.read_similarity(run) == scene.similarity
@@ -131,7 +131,7 @@ def test_views_are_written_where_the_user_has_them_and_read_back(world, tmp_path
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_an_undistorted_data_set_lies_where_its_original_does(world, tmp_path):
-    scene = written(tmp_path / "scene", world)
+    scene = write_scene(tmp_path / "scene", world)
     undistort(scene, tmp_path / "out")
     before, after = load_scene(scene), load_scene(tmp_path / "out")
     for frame, again in zip(before.frames, after.frames, strict=True):
@@ -154,9 +154,9 @@ def test_a_ply_is_double_only_where_float_would_lose_the_place(world, kind, tmp_
     vertices = read_elements(tmp_path / "g.ply")[0]["vertex"]
     assert {vertices.dtype[axis].str for axis in "xyz"} == {f"<{kind}"}
     assert {vertices.dtype[name].str for name in vertices.dtype.names if name not in "xyz"} == {"<f4"}
-    found = read_gaussians(tmp_path / "g.ply")
-    assert found.means.dtype == np.dtype(kind)
-    np.testing.assert_allclose(found.means, there.means, atol=1e-6 * WORLDS[world][0])
+    gaussians = read_gaussians(tmp_path / "g.ply")
+    assert gaussians.means.dtype == np.dtype(kind)
+    np.testing.assert_allclose(gaussians.means, there.means, atol=1e-6 * WORLDS[world][0])
 
 
 @pytest.mark.parametrize("world", ["utm", "a thousand", "a thousandth", "a millionth, far off"])
@@ -173,11 +173,11 @@ def test_gaussians_come_back_to_the_same_local_ones(world, tmp_path):
     np.testing.assert_allclose(result.gaussians.log_scales, np.asarray(here.log_scales) + np.log(units), atol=1e-5)
 
 
-def apart(found, given):
+def apart(result, original):
     """The largest distance of means, in whatever order they were stored."""
-    distances = np.linalg.norm(found.means[:, None] - given.means, axis=-1)
+    distances = np.linalg.norm(result.means[:, None] - original.means, axis=-1)
     nearest = distances.argmin(axis=0)
-    np.testing.assert_allclose(found.log_scales[nearest], given.log_scales, atol=0.04)
+    np.testing.assert_allclose(result.log_scales[nearest], original.log_scales, atol=0.04)
     return distances.min(axis=0).max()
 
 
@@ -209,9 +209,9 @@ def test_meshes_keep_their_place(world, name, tmp_path):
         export.write_textured(tmp_path / name, TexturedMesh(mesh, atlas, np.full((8, 8, 3), 90, np.uint8)))
     else:
         export.write_mesh(tmp_path / name, mesh)
-    found = export.read_mesh(tmp_path / name)
-    assert found.vertices.dtype == (np.float32 if world in ("as it is", "a thousandth") else np.float64)
-    corners = found.vertices[found.faces].astype(np.float64)
+    result = export.read_mesh(tmp_path / name)
+    assert result.vertices.dtype == (np.float32 if world in ("as it is", "a thousandth") else np.float64)
+    corners = result.vertices[result.faces].astype(np.float64)
     np.testing.assert_allclose(corners, mesh.vertices[faces], atol=1e-6 * WORLDS[world][0])
     for_browser = tmp_path / "browser.glb"
     for_browser.write_bytes(export.glb_bytes(tmp_path / name))
@@ -222,7 +222,7 @@ def test_meshes_keep_their_place(world, name, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "kept",
+    "record",
     [
         {"scale": 1e308, "center": [0, 0, 0]},
         {"scale": 1e-308, "center": [0, 0, 0]},
@@ -231,9 +231,9 @@ def test_meshes_keep_their_place(world, name, tmp_path):
         {"scale": 4.0, "center": [float("nan"), 0, 0]},
     ],
 )
-def test_a_similarity_that_no_scene_has_is_refused(kept, tmp_path):
+def test_a_similarity_that_no_scene_has_is_refused(record, tmp_path):
     with pytest.raises(InputError, match=r"m.json: a similarity of scale .* is none$"):
-        parse_similarity(kept, tmp_path / "m.json")
+        parse_similarity(record, tmp_path / "m.json")
 
 
 def test_lengths_and_poses_go_there_and_back():
@@ -253,9 +253,9 @@ def test_lengths_and_poses_go_there_and_back():
 
 
 @pytest.mark.parametrize(
-    "kept", [{"scale": 0, "center": [0, 0, 0]}, {"scale": 1}, {"scale": 1, "center": ["x", 0, 0]}, []]
+    "record", [{"scale": 0, "center": [0, 0, 0]}, {"scale": 1}, {"scale": 1, "center": ["x", 0, 0]}, []]
 )
-def test_a_damaged_similarity_is_one_line(kept, tmp_path):
-    json_files.write(tmp_path / "manifest.json", {"similarity": kept})
+def test_a_damaged_similarity_is_one_line(record, tmp_path):
+    json_files.write(tmp_path / "manifest.json", {"similarity": record})
     with pytest.raises(InputError, match=r"manifest\.json.*similarity"):
         runs.read_similarity(tmp_path)

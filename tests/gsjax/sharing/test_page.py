@@ -64,14 +64,14 @@ def test_what_is_inside_comes_back(run, tmp_path):
     assert figures["bytes"] == len(text.encode()) and figures["gaussians"] == 30 and figures["bookmarks"] == 12
     page = Page(text)
     (tmp_path / "inside.spz").write_bytes(b64decode(page.texts["splats"]))
-    read, given = read_spz(tmp_path / "inside.spz"), cloud(30)
-    assert read.sh_degree == 0 and read.pixel_filter == given.pixel_filter
-    np.testing.assert_allclose(read.means, given.means, atol=1e-5)
+    read, original = read_spz(tmp_path / "inside.spz"), cloud(30)
+    assert read.sh_degree == 0 and read.pixel_filter == original.pixel_filter
+    np.testing.assert_allclose(read.means, original.means, atol=1e-5)
     (tmp_path / "inside.glb").write_bytes(b64decode(page.texts["mesh"]))
     assert read_mesh(tmp_path / "inside.glb").num_faces == 4
     assert b64decode(page.texts["libraries"]) == LIBRARIES.read_bytes()
     view = json.loads(page.texts["view"])
-    assert view["background"] == "#ffffff" and view["is_mip"] == (given.pixel_filter == "mip")
+    assert view["background"] == "#ffffff" and view["is_mip"] == (original.pixel_filter == "mip")
     first, last = view["bookmarks"][0], view["bookmarks"][-1]
     assert (first["name"], last["name"]) == (f"{HOSTILE}0.jpg", f"{HOSTILE}19.jpg")
     assert np.reshape(first["viewmat"], (4, 4)).T[:3, 3] == pytest.approx(

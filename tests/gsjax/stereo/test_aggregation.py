@@ -36,10 +36,10 @@ def test_costs_are_those_of_the_best_paths(shape):
 def test_places_between_planes_are_vertices_of_parabolas():
     truth = np.array([[2.3, 2.3], [2.3, 2.3]])
     costs = 0.01 * (np.arange(6)[:, None, None] - truth) ** 2
-    found = best_planes(costs.astype(np.float32))
+    planes = best_planes(costs.astype(np.float32))
     # All pixels have one parabola, so the paths change none of it: four times the cost and what came before.
-    assert_close(found.places, truth.astype(np.float32), rtol=1e-4, atol=0, why="differences of close float32 numbers")
-    assert_close(found.unlike, costs[2].astype(np.float32))
+    assert_close(planes.places, truth.astype(np.float32), rtol=1e-4, atol=0, why="differences of close float32 numbers")
+    assert_close(planes.unlike, costs[2].astype(np.float32))
 
 
 @pytest.mark.parametrize("plane", [0, 5])

@@ -26,8 +26,8 @@ def plane_map(value, across, down):
     return np.stack([inverse, np.full_like(inverse, across), np.full_like(inverse, down)], axis=-1)
 
 
-def depth_of(planes, known=True):
-    return Depth(1 / planes[..., 0], np.broadcast_to(known, planes.shape[:2]).copy())
+def depth_of(planes, is_known=True):
+    return Depth(1 / planes[..., 0], np.broadcast_to(is_known, planes.shape[:2]).copy())
 
 
 def test_slopes_of_a_plane_are_found_to_its_border():
@@ -60,29 +60,29 @@ def test_a_segment_without_texture_lies_on_the_plane_of_its_outline():
     halves = np.where(COLUMNS[..., None] < WIDTH / 2, plane_map(1 / AWAY, 4e-4, 0), plane_map(0.8 / AWAY, -3e-4, 2e-4))
     color = np.where(COLUMNS[..., None] < WIDTH / 2, np.uint8(60), np.uint8(200)) * np.ones(3, np.uint8)
     view = replace(VIEWS[0], color=color, nearest=1.0, farthest=10.0)
-    known = ~HOLE
+    is_measured = ~HOLE
     noisy = halves[..., 0] * rng.uniform(1 - TOLERANCE / 3, 1 + TOLERANCE / 3, (HEIGHT, WIDTH))
     wrong = rng.random((HEIGHT, WIDTH)) < 0.2
     noisy[wrong] *= rng.uniform(1.1, 1.5, wrong.sum())
-    given = np.where(known[..., None], np.concatenate([noisy[..., None], halves[..., 1:]], axis=-1), 0)
-    found = segment_planes(view, photo_segments(view.color), given, rng)
-    is_known = found[..., 0] > 0
+    input_planes = np.where(is_measured[..., None], np.concatenate([noisy[..., None], halves[..., 1:]], axis=-1), 0)
+    result = segment_planes(view, photo_segments(view.color), input_planes, rng)
+    is_known = result[..., 0] > 0
     np.testing.assert_array_equal(is_known, np.abs(COLUMNS - WIDTH / 2) > 2, "the edge between them is of neither")
-    np.testing.assert_allclose(found[is_known, 0], halves[is_known, 0], rtol=TOLERANCE / 2)
-    np.testing.assert_allclose(found[is_known, 1:], halves[is_known, 1:], rtol=0, atol=5e-5)
+    np.testing.assert_allclose(result[is_known, 0], halves[is_known, 0], rtol=TOLERANCE / 2)
+    np.testing.assert_allclose(result[is_known, 1:], halves[is_known, 1:], rtol=0, atol=5e-5)
 
 
 @pytest.mark.parametrize("case", ["no plane", "little depth", "one line", "none"])
 def test_a_segment_whose_depth_tells_no_plane_has_none(case):
     planes = plane_map(1 / AWAY, 0.0, 0.0)
-    known = np.ones((HEIGHT, WIDTH), bool)
+    is_measured = np.ones((HEIGHT, WIDTH), bool)
     if case == "no plane":
         planes[..., 0] *= np.random.default_rng(0).uniform(0.7, 1.3, (HEIGHT, WIDTH))
     else:
-        known[:] = {"little depth": ROWS + COLUMNS < 7, "one line": np.abs(ROWS - 36) < 2, "none": False}[case]
+        is_measured[:] = {"little depth": ROWS + COLUMNS < 7, "one line": np.abs(ROWS - 36) < 2, "none": False}[case]
     view = replace(VIEWS[0], nearest=1.0, farthest=10.0)
     labels = photo_segments(view.color)
-    assert not segment_planes(view, labels, planes * known[..., None], np.random.default_rng(0)).any()
+    assert not segment_planes(view, labels, planes * is_measured[..., None], np.random.default_rng(0)).any()
 
 
 def completed(depths, views: tuple[View, ...] = VIEWS):
@@ -132,9 +132,9 @@ def test_depth_near_the_plane_of_its_segment_moves_there_and_depth_off_it_goes()
     shared = seen_by_others(0, np.ones((HEIGHT, WIDTH), bool))
     np.testing.assert_allclose(depth.z[near & shared & depth.is_confident], AWAY, rtol=1e-3)
     assert (near & depth.is_confident).sum() > 50
-    known = depth.is_confident & dropped
-    assert known.sum() > 20
-    assert np.abs(depth.z[known] / AWAY - 1).max(initial=0) < OFF_PLANE, "what is left there is the plane's"
+    is_left = depth.is_confident & dropped
+    assert is_left.sum() > 20
+    assert np.abs(depth.z[is_left] / AWAY - 1).max(initial=0) < OFF_PLANE, "what is left there is the plane's"
 
 
 def test_one_photo_confirms_nothing_of_itself():

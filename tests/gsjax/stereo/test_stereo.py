@@ -31,10 +31,10 @@ def painted(scene: Scene) -> Scene:
         values = np.sin((places @ waves.T)[..., None] + phases).sum(axis=2)
         return pixels._replace(image=np.clip(128 + 20 * values, 0, 255).astype(np.uint8))
 
-    return shown(scene, photo)
+    return change_photos(scene, photo)
 
 
-def shown(scene: Scene, change) -> Scene:
+def change_photos(scene: Scene, change) -> Scene:
     """The scene with every photo's pixels changed by `change(index, pixels)`."""
     return replace(
         scene, frames=tuple(with_pixels(frame, change(i, frame.pixels())) for i, frame in enumerate(scene.frames))
@@ -58,16 +58,16 @@ def points_of(scene: Scene, count: int):
     return stereo_points(depths, count) if depths.accepted else None
 
 
-@pytest.mark.parametrize("scene", [WALL, shown(WALL, exposed)], ids=["", "exposures"])
+@pytest.mark.parametrize("scene", [WALL, change_photos(WALL, exposed)], ids=["", "exposures"])
 def test_points_lie_on_the_wall_in_its_colours(scene):
-    found = points_of(scene, 500)
-    assert found is not None and 100 < len(found.points) <= 500
-    off = np.abs(found.points[:, 2])
+    result = points_of(scene, 500)
+    assert result is not None and 100 < len(result.points) <= 500
+    off = np.abs(result.points[:, 2])
     assert np.median(off) < 0.005 * AWAY and off.max() < 0.03 * AWAY
-    assert np.ptp(found.points[:, 0]) > 2.5 and np.ptp(found.points[:, 1]) > 1.8, "all over what the photos show"
+    assert np.ptp(result.points[:, 0]) > 2.5 and np.ptp(result.points[:, 1]) > 1.8, "all over what the photos show"
     brightest = np.max([frame.pixels().image.max(axis=(0, 1)) for frame in scene.frames], axis=0)
-    assert found.colors.dtype == np.uint8 and (found.colors <= brightest).all()
-    assert "5 of 5 photos; 100% of" in found.line and f"{len(found.points):,} more points" in found.line
+    assert result.colors.dtype == np.uint8 and (result.colors <= brightest).all()
+    assert "5 of 5 photos; 100% of" in result.line and f"{len(result.points):,} more points" in result.line
 
 
 def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch):
@@ -77,25 +77,25 @@ def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch
     landed = view.landing(WALL.points[view.matched])
     assert_close(landed.depths, np.full(len(view.matched), AWAY), rtol=1e-6, atol=0, why="poses are float32")
     assert landed.inside.all()
-    found = points_of(WALL, 200)
-    assert found is not None and np.abs(found.points[:, 2]).max() < 0.03 * AWAY
+    result = points_of(WALL, 200)
+    assert result is not None and np.abs(result.points[:, 2]).max() < 0.03 * AWAY
 
 
 def test_every_photo_tells_the_depth_of_the_wall():
-    found = depths_of_photos(WALL)
-    assert [each.view.name for each in found.accepted] == [frame.name for frame in WALL.frames]
-    assert found.line.startswith("5 of 5 photos; 100% of")
-    for each in found.accepted:
-        known = each.depth.is_confident
-        assert known.shape == SIZE[::-1] and 0.3 < known.mean() < 1
-        assert np.abs(each.depth.z[known] - AWAY).max() < 0.03 * AWAY
-        assert not each.normals[~known].any()
-        assert np.quantile(each.normals[known] @ [0, 0, -1], 0.05) > np.cos(np.radians(10))
+    depths = depths_of_photos(WALL)
+    assert [each.view.name for each in depths.accepted] == [frame.name for frame in WALL.frames]
+    assert depths.line.startswith("5 of 5 photos; 100% of")
+    for each in depths.accepted:
+        is_confident = each.depth.is_confident
+        assert is_confident.shape == SIZE[::-1] and 0.3 < is_confident.mean() < 1
+        assert np.abs(each.depth.z[is_confident] - AWAY).max() < 0.03 * AWAY
+        assert not each.normals[~is_confident].any()
+        assert np.quantile(each.normals[is_confident] @ [0, 0, -1], 0.05) > np.cos(np.radians(10))
     assert depths_of_photos(WALL, 3).compared == 3
 
 
 def test_what_photos_do_not_have_in_common_is_not_found():
-    assert points_of(shown(WALL, noise), 500) is None
+    assert points_of(change_photos(WALL, noise), 500) is None
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,8 @@ def test_what_photos_do_not_have_in_common_is_not_found():
         replace(WALL, frames=WALL.frames[:1]),
         replace(WALL, frames=()),
         replace(WALL, frames=tuple(replace(frame, held_out=True) for frame in WALL.frames)),
-        shown(WALL, lambda _, pixels: pixels._replace(image=np.full_like(pixels.image, 90))),
-        shown(WALL, lambda _, pixels: pixels._replace(valid=np.zeros(pixels.image.shape[:2], np.uint8))),
+        change_photos(WALL, lambda _, pixels: pixels._replace(image=np.full_like(pixels.image, 90))),
+        change_photos(WALL, lambda _, pixels: pixels._replace(valid=np.zeros(pixels.image.shape[:2], np.uint8))),
         replace(WALL, frames=tuple(replace(frame, name=f"other{frame.name}") for frame in WALL.frames)),
     ],
     ids=["no tracks", "one photo", "no photo", "all held out", "grey", "masked", "never matched"],
@@ -119,32 +119,32 @@ def test_where_there_is_nothing_to_compare_nothing_is_found(nothing):
 def test_masked_pixels_have_no_say(mask):
     half = np.full(SIZE[::-1], 255, np.uint8)
     half[:, : SIZE[0] // 2] = 0
-    found = points_of(shown(WALL, lambda _, pixels: pixels._replace(**{mask: half})), 500)
+    result = points_of(change_photos(WALL, lambda _, pixels: pixels._replace(**{mask: half})), 500)
     whole = points_of(WALL, 500)
-    assert found is not None and whole is not None
-    assert found.points[:, 0].min() > whole.points[:, 0].min() + 0.5
+    assert result is not None and whole is not None
+    assert result.points[:, 0].min() > whole.points[:, 0].min() + 0.5
 
 
 def test_a_photo_with_a_wrong_pose_spoils_nothing():
     turned = WALL.frames[2].viewmat.copy()
     turned[0, 3] += 0.4
     frames = tuple(replace(f, viewmat=turned) if i == 2 else f for i, f in enumerate(WALL.frames))
-    found = points_of(replace(WALL, frames=frames), 500)
-    assert found is not None and np.quantile(np.abs(found.points[:, 2]), 0.95) < 0.03 * AWAY
+    result = points_of(replace(WALL, frames=frames), 500)
+    assert result is not None and np.quantile(np.abs(result.points[:, 2]), 0.95) < 0.03 * AWAY
 
 
 def test_dissimilarity_is_least_at_the_wall_and_knows_no_exposure():
     all_views = stereo_views(WALL)
     view, others = all_views[0], all_views[1:]
-    found = dissimilarities(view, others)
+    costs = dissimilarities(view, others)
     at_wall = np.abs(inverse_depths(view) - 1 / AWAY).argmin()
     inner = np.s_[8:-8, 8:-8]
-    assert np.median(found[at_wall][inner]) < 0.02 < 0.1 < np.median(found[0][inner])
-    assert found.min() > -1e-3 and found.max() <= UNLIKE
+    assert np.median(costs[at_wall][inner]) < 0.02 < 0.1 < np.median(costs[0][inner])
+    assert costs.min() > -1e-3 and costs.max() <= UNLIKE
     dimmed = replace(view, gray=0.5 * view.gray + 0.2)
     assert_close(
         dissimilarities(dimmed, others)[at_wall][inner],
-        found[at_wall][inner],
+        costs[at_wall][inner],
         rtol=0,
         atol=0.05,
         why="where a window is nearly flat, its variance is told from the difference of float32 squares",
@@ -166,8 +166,8 @@ def test_another_photo_confirms_what_it_shows_at_that_depth_and_nothing_else():
 def test_matched_points_judge_a_photo():
     view = stereo_views(WALL)[0]
     wholly = Depth(np.full(view.gray.shape, AWAY), np.ones(view.gray.shape, bool))
-    told = evidence(view, wholly, WALL.points)
-    assert told == Evidence(len(view.matched), len(view.matched)) and told.is_good
+    correct = evidence(view, wholly, WALL.points)
+    assert correct == Evidence(len(view.matched), len(view.matched)) and correct.is_good
     wrong = evidence(view, wholly._replace(z=wholly.z * 1.05), WALL.points)
     assert wrong == Evidence(0, len(view.matched)) and not wrong.is_good
     assert Evidence(0, FEWEST_CHECKED - 1).is_good and not Evidence(15, FEWEST_CHECKED).is_good

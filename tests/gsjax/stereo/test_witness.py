@@ -21,44 +21,44 @@ def photo():
 
 def striped(normals):
     """Stereo knows every other band of ten columns."""
-    known = np.arange(WIDTH) % 20 < 10
-    return np.where(known[None, :, None], normals, 0).astype(np.int8), known
+    has_stereo = np.arange(WIDTH) % 20 < 10
+    return np.where(has_stereo[None, :, None], normals, 0).astype(np.int8), has_stereo
 
 
 def test_a_wall_that_stereo_confirms_counts_and_a_window_that_it_contradicts_does_not(photo):
     surface = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
-    given = surface.copy()
-    given[WINDOW] = ASIDE
-    stereo, known = striped(surface)
-    taken = witnessed_normals(given, stereo, photo)
-    assert (taken[:, known] == AHEAD).all()
-    assert (taken[:, ~known & INSIDE_WALL] == AHEAD).all()
-    assert not taken[WINDOW][:, ~known[60:]].any()
+    normals = surface.copy()
+    normals[WINDOW] = ASIDE
+    stereo, has_stereo = striped(surface)
+    trusted_normals = witnessed_normals(normals, stereo, photo)
+    assert (trusted_normals[:, has_stereo] == AHEAD).all()
+    assert (trusted_normals[:, ~has_stereo & INSIDE_WALL] == AHEAD).all()
+    assert not trusted_normals[WINDOW][:, ~has_stereo[60:]].any()
 
 
 def test_a_segment_without_stereo_counts_nothing(photo):
-    given = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
-    stereo = given.copy()
+    normals = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
+    stereo = normals.copy()
     stereo[WINDOW] = 0
-    taken = witnessed_normals(given, stereo, photo)
-    assert (taken[WALL] == AHEAD).all() and not taken[WINDOW].any()
+    trusted_normals = witnessed_normals(normals, stereo, photo)
+    assert (trusted_normals[WALL] == AHEAD).all() and not trusted_normals[WINDOW].any()
 
 
 def test_far_from_what_stereo_knows_a_segment_counts_less():
-    given = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
-    stereo = np.where(np.arange(WIDTH)[None, :, None] < 40, given, 0).astype(np.int8)
-    taken = witnessed_normals(given, stereo, np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
-    assert (taken[:, :44] == AHEAD).all() and not taken[:, 90:].any()
+    normals = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
+    stereo = np.where(np.arange(WIDTH)[None, :, None] < 40, normals, 0).astype(np.int8)
+    trusted_normals = witnessed_normals(normals, stereo, np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
+    assert (trusted_normals[:, :44] == AHEAD).all() and not trusted_normals[:, 90:].any()
 
 
 @pytest.mark.parametrize(("degrees", "weight"), [(14, 1), (18, 2 / 3), (22, 0)])
 def test_weight_falls_with_the_angle_to_stereo(photo, degrees, weight):
-    given = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
+    normals = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
     angle = np.radians(degrees)
     turned = np.rint(127 * np.array([np.sin(angle), 0, -np.cos(angle)])).astype(np.int8)
-    stereo, known = striped(np.tile(turned, (HEIGHT, WIDTH, 1)))
+    stereo, has_stereo = striped(np.tile(turned, (HEIGHT, WIDTH, 1)))
     lengths = np.linalg.norm(
-        witnessed_normals(given, stereo, photo)[:, ~known & INSIDE_WALL].astype(np.float32), axis=-1
+        witnessed_normals(normals, stereo, photo)[:, ~has_stereo & INSIDE_WALL].astype(np.float32), axis=-1
     )
     assert np.abs(lengths / 127 - weight).max() < 0.05  # an eighth of a degree is lost in 8 bits
 
@@ -66,5 +66,5 @@ def test_weight_falls_with_the_angle_to_stereo(photo, degrees, weight):
 def test_stereo_at_half_the_size_and_a_map_without_normals(photo):
     stereo = np.tile(AHEAD, (HEIGHT // 2, WIDTH // 2, 1))
     stereo[:, 30:] = 0
-    taken = witnessed_normals(np.zeros((HEIGHT, WIDTH, 3), np.int8), stereo, photo)
-    assert (taken[WALL] == AHEAD).all() and not taken[WINDOW].any()
+    trusted_normals = witnessed_normals(np.zeros((HEIGHT, WIDTH, 3), np.int8), stereo, photo)
+    assert (trusted_normals[WALL] == AHEAD).all() and not trusted_normals[WINDOW].any()

@@ -19,23 +19,23 @@ KEYS = jax.random.split(jax.random.key(0), DRAWS)
 
 
 def test_an_opacity_is_nothing_or_so_much_more_that_its_expectation_stays():
-    drawn = np.asarray(jax.vmap(lambda key: opacities(leave_out(GAUSSIANS, SHARE, key)))(KEYS))
+    samples = np.asarray(jax.vmap(lambda key: opacities(leave_out(GAUSSIANS, SHARE, key)))(KEYS))
     before = np.asarray(opacities(GAUSSIANS))
     denser = np.minimum(before / (1 - SHARE), MOST)
-    stays = drawn > 1e-9
+    stays = samples > 1e-9
     assert not stays[:, ALIVE:].any(), "free rows stay free"
-    assert_close(drawn, np.where(stays, denser, 0))
+    assert_close(samples, np.where(stays, denser, 0))
     deviation = np.sqrt(SHARE * (1 - SHARE) / DRAWS)
     assert np.abs(stays[:, :ALIVE].mean(0) - (1 - SHARE)).max() < 4 * deviation
     assert np.abs(np.corrcoef(stays[:, :ALIVE].T) - np.eye(ALIVE)).max() < 4.5 / np.sqrt(DRAWS), "each by itself"
 
 
 def test_nothing_but_opacities_changes_and_what_is_left_out_or_full_has_no_gradient():
-    drawn = leave_out(GAUSSIANS, SHARE, KEYS[0])
+    sample = leave_out(GAUSSIANS, SHARE, KEYS[0])
     for field in ("means", "quats", "log_scales", "sh_dc", "sh_rest"):
-        assert getattr(drawn, field) is getattr(GAUSSIANS, field)
+        assert getattr(sample, field) is getattr(GAUSSIANS, field)
     gradient = jax.grad(lambda g: jnp.sum(opacities(leave_out(g, SHARE, KEYS[0]))))(GAUSSIANS)
-    before, stays = np.asarray(opacities(GAUSSIANS)), np.asarray(opacities(drawn)) > 1e-9
+    before, stays = np.asarray(opacities(GAUSSIANS)), np.asarray(opacities(sample)) > 1e-9
     free = stays & (before < (1 - SHARE) * MOST)
     assert 0 < free.sum() < stays.sum() < ALIVE
     assert_close(gradient.logit_opacities, np.where(free, before * (1 - before) / (1 - SHARE), 0))

@@ -47,7 +47,10 @@ def trained(frames, own, *, phases=None):
     phases = phases or (Phase("plain", 6, Weights(dssim=0.0, own=0.5), density_control=True),)
     settings = Settings(seed=3, schedule=Schedule(phases=phases), density=DENSITY)
     state = initial_state(cloud(ROWS, seed=1), OPTIMIZER)
-    watch = {"prior": lambda state: [], "observe": lambda told: states.append(jax.tree.map(np.array, told.state))}
+    watch = {
+        "prior": lambda state: [],
+        "observe": lambda progress: states.append(jax.tree.map(np.array, progress.state)),
+    }
     terms = {"own": Term(own, {"depth"})}
     with pytest.raises(InputError) as stopped:
         fit(settings, frames, EXTENT, state, OPTIMIZER, capacity=CAPACITY, terms=terms, **watch)

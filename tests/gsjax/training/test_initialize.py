@@ -24,17 +24,17 @@ POINTS, COLORS = RNG.normal(size=(20, 3)), RNG.integers(0, 256, (20, 3), dtype=n
 def test_scales_are_the_distances_to_the_three_nearest():
     distances = np.sort(np.linalg.norm(POINTS[:, None] - POINTS[None], axis=-1), axis=1)[:, 1:4]
     expected = np.sqrt((distances**2).mean(1))
-    made = from_points(POINTS, COLORS, capacity=20, sh_degree=0)
-    assert_close(scales(made), np.repeat(expected[:, None], 3, 1))
-    assert_close(made.means, POINTS)
+    gaussians = from_points(POINTS, COLORS, capacity=20, sh_degree=0)
+    assert_close(scales(gaussians), np.repeat(expected[:, None], 3, 1))
+    assert_close(gaussians.means, POINTS)
 
 
 def test_opacity_and_colour():
-    made = from_points(POINTS, COLORS, capacity=20, sh_degree=2, opacity=0.3)
-    assert_close(opacities(made), np.full(20, 0.3))
-    assert_close(made.sh_dc[:, 0] * SH_C0 + 0.5, COLORS / 255)
-    assert_close(made.sh_rest, np.zeros((20, 8, 3)))
-    assert_close(made, from_points(POINTS, COLORS / 255, capacity=20, sh_degree=2, opacity=0.3))
+    gaussians = from_points(POINTS, COLORS, capacity=20, sh_degree=2, opacity=0.3)
+    assert_close(opacities(gaussians), np.full(20, 0.3))
+    assert_close(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, COLORS / 255)
+    assert_close(gaussians.sh_rest, np.zeros((20, 8, 3)))
+    assert_close(gaussians, from_points(POINTS, COLORS / 255, capacity=20, sh_degree=2, opacity=0.3))
 
 
 def test_axes_follow_the_points_around_however_the_world_is_turned():
@@ -49,18 +49,18 @@ def test_axes_follow_the_points_around_however_the_world_is_turned():
 
 
 def test_rows_beyond_the_points_are_dead_and_everything_is_float32():
-    made = from_points(POINTS, COLORS, capacity=32, sh_degree=1)
-    assert {leaf.dtype for leaf in jax.tree.leaves(made)} == {jnp.dtype("float32")}
-    assert {leaf.shape[0] for leaf in jax.tree.leaves(made)} == {32}
-    assert_close(made.logit_opacities[20:], np.full(12, DEAD_LOGIT))
-    assert bool((made.logit_opacities[:20] > -5).all())
+    gaussians = from_points(POINTS, COLORS, capacity=32, sh_degree=1)
+    assert {leaf.dtype for leaf in jax.tree.leaves(gaussians)} == {jnp.dtype("float32")}
+    assert {leaf.shape[0] for leaf in jax.tree.leaves(gaussians)} == {32}
+    assert_close(gaussians.logit_opacities[20:], np.full(12, DEAD_LOGIT))
+    assert bool((gaussians.logit_opacities[:20] > -5).all())
 
 
 def test_too_many_points_are_thinned_over_their_whole_length():
-    made = from_points(POINTS, COLORS, capacity=5, sh_degree=0)
+    gaussians = from_points(POINTS, COLORS, capacity=5, sh_degree=0)
     rows = [0, 4, 9, 14, 19]
-    assert_close(made.means, POINTS[rows])
-    assert_close(made.sh_dc[:, 0] * SH_C0 + 0.5, COLORS[rows] / 255)
+    assert_close(gaussians.means, POINTS[rows])
+    assert_close(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, COLORS[rows] / 255)
 
 
 @pytest.mark.parametrize(
@@ -73,8 +73,8 @@ def test_too_many_points_are_thinned_over_their_whole_length():
     ids=["one", "two", "coincident"],
 )
 def test_few_or_coincident_points_get_a_usable_scale(points, expected):
-    made = from_points(np.array(points), np.zeros((len(points), 3)), capacity=len(points), sh_degree=0)
-    assert_close(scales(made), np.full((len(points), 3), expected))
+    gaussians = from_points(np.array(points), np.zeros((len(points), 3)), capacity=len(points), sh_degree=0)
+    assert_close(scales(gaussians), np.full((len(points), 3), expected))
 
 
 RULE = DENSIFICATION_RULES["adc"]
@@ -91,18 +91,18 @@ def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it
     assert roomy.gaussians.pixel_filter == pixel_filter
 
 
-def looking(*eyes, matte=None):
+def photos_from(*eyes, matte=None):
     """Photos from these places towards the middle of the cloud."""
     frames = []
     for index, eye in enumerate(eyes):
         camera = camera_at(eye, np.median(POINTS, axis=0))
-        shown = Pixels(np.zeros((camera.height, camera.width, 3), np.uint8), matte)
-        frames.append(frame_of(f"{index}.png", np.asarray(camera.viewmat), np.asarray(camera.K), shown))
+        pixels = Pixels(np.zeros((camera.height, camera.width, 3), np.uint8), matte)
+        frames.append(frame_of(f"{index}.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels))
     return tuple(frames)
 
 
 def test_far_points_lie_beyond_cameras_and_cloud_where_a_photo_looks():
-    frames = looking((9.0, 0.5, 0.0), (0.0, 1.0, -7.0))
+    frames = photos_from((9.0, 0.5, 0.0), (0.0, 1.0, -7.0))
     middle = np.median(POINTS, axis=0)
     far = far_points(POINTS, frames, 900)
     away = np.linalg.norm(far - middle, axis=1) / np.linalg.norm(np.array([9.0, 0.5, 0.0]) - middle)
@@ -122,13 +122,13 @@ def test_far_points_lie_beyond_cameras_and_cloud_where_a_photo_looks():
 
 @pytest.mark.parametrize("count", [0, 2, 3])
 def test_a_few_far_points_or_none_are_no_trouble(count):
-    far = far_points(POINTS[:1], looking((2.0, 0.0, 0.0)), count)
+    far = far_points(POINTS[:1], photos_from((2.0, 0.0, 0.0)), count)
     assert far.shape[1:] == (3,) and len(far) <= count and np.isfinite(far).all()
 
 
 @pytest.mark.parametrize("matte", [None, np.full((24, 32), 255, np.uint8)])
 def test_training_starts_with_far_points_within_its_budget_unless_photos_have_mattes(matte):
-    frames = looking((9.0, 0.5, 0.0), (0.0, 1.0, -7.0), matte=matte)
+    frames = photos_from((9.0, 0.5, 0.0), (0.0, 1.0, -7.0), matte=matte)
     scene = Scene(Path("s"), "colmap", frames, POINTS.astype(np.float32), COLORS)
     for budget in (1000, 60, 12):
         points, colors = start.starting_points(scene, Model(max_gaussians=budget, far_points=900))

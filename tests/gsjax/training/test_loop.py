@@ -113,8 +113,8 @@ def test_gaussians_grow_only_when_due_and_are_culled_at_the_end_of_the_phase(who
     assert alive[0] == ALIVE  # not before `start`
     assert alive[1] > ALIVE and alive[2] == alive[1] and alive[3] >= alive[2]  # at steps 2 and 4, not at 3
     assert alive[4] == alive[3] <= CAPACITY
-    kept = np.asarray(opacities(whole.states[5].gaussians))
-    assert alive[5] == (kept >= 0.6).sum() < alive[4]
+    opacity = np.asarray(opacities(whole.states[5].gaussians))
+    assert alive[5] == (opacity >= 0.6).sum() < alive[4]
     assert alive[6:] == [alive[5]] * 5
 
 
@@ -138,9 +138,9 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
     monkeypatch.setattr(loop, "reset_opacities", lambda state, **_: calls.append("reset"))
     density = Density(start=2, stop=9, every=2, reset_every=5)
     monkeypatch.setattr(loop.buffers, "with_room_to_densify", lambda state, *_, **how: state)
-    for chosen in (density, replace(density, reset_every=0)):
+    for variant in (density, replace(density, reset_every=0)):
         for step in range(1, 9):
-            planned = plan(SETTINGS.replace(density=chosen, model={"background": "white"}))
+            planned = plan(SETTINGS.replace(density=variant, model={"background": "white"}))
             work = loop.Work(planned, (), EXTENT, OPTIMIZER)
             loop._densify_when_due(work, DENSIFICATION_RULES["adc"], step, step, jax.random.key(0))
         calls.append("end")
@@ -194,15 +194,15 @@ def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits
     assert_identical(resumed.final, whole.final)
 
 
-@pytest.mark.parametrize("begun", [0, 3])
+@pytest.mark.parametrize("first_step", [0, 3])
 def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_the_others_always(
-    frames, monkeypatch, begun
+    frames, monkeypatch, first_step
 ):
-    taken = []
+    calls = []
 
     def make_train_step(optimizer, terms, **_):
         def step(state, target, key):
-            taken.append((int(state.step), {each.name for each in terms}, target.image.shape[:2]))
+            calls.append((int(state.step), {each.name for each in terms}, target.image.shape[:2]))
             return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False, finite=True, needed=1)
 
         return step
@@ -210,11 +210,11 @@ def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_th
     monkeypatch.setattr(loop, "kept_step", make_train_step)
     weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, depth_normal=0.3)
     settings = SETTINGS.replace(schedule={"phases": (Phase("surface", 7, weights, surface_every=3, surface_scale=2),)})
-    fitted(frames, settings, state=replace(start(), step=np.int32(begun)), capacity=64)
+    fitted(frames, settings, state=replace(start(), step=np.int32(first_step)), capacity=64)
     always = {"l1", "alpha", "entropy"}, (24, 32)
     rarely = always[0] | {"sdf_normal", "depth_normal"}, (12, 16)
     every = [always, always, rarely, always, always, rarely, always]
-    assert taken == [(step, *each) for step, each in enumerate(every)][begun:]
+    assert calls == [(step, *each) for step, each in enumerate(every)][first_step:]
 
 
 def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):
@@ -232,7 +232,7 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
 
 
 @pytest.mark.parametrize(
-    ("said", "raised", "line"),
+    ("message", "raised", "line"),
     [
         (
             "RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes",
@@ -242,10 +242,10 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
         ("INTERNAL: something else", jax.errors.JaxRuntimeError, "something else"),
     ],
 )
-def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frames, monkeypatch, said, raised, line):
+def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frames, monkeypatch, message, raised, line):
     def make_train_step(optimizer, terms, **_):
         def step(state, target, key):
-            raise jax.errors.JaxRuntimeError(said)
+            raise jax.errors.JaxRuntimeError(message)
 
         return step
 

@@ -179,8 +179,8 @@ def test_a_step_learns_of_those_that_it_draws_alone(setup):
     moved = np.abs(np.asarray(state.gaussians.means) - np.asarray(before.means)).max(1) > 0
     views = np.asarray(state.statistics.views)
     assert not moved[~stays].any() and not views[~stays].any()
-    drawn = np.asarray(stays)[:ALIVE]
-    assert moved[:ALIVE][drawn].mean() > 0.9 and (views[:ALIVE][drawn] == 1).mean() > 0.9
+    is_drawn = np.asarray(stays)[:ALIVE]
+    assert moved[:ALIVE][is_drawn].mean() > 0.9 and (views[:ALIVE][is_drawn] == 1).mean() > 0.9
 
 
 def test_statistics_count_the_views_and_the_gradient_of_each(setup):
@@ -196,15 +196,15 @@ def test_statistics_count_the_views_and_the_gradient_of_each(setup):
 def test_what_shows_in_the_padding_alone_is_not_seen_in_the_photo():
     """A photo of 30x20 in a set whose largest is 50x40: splats of half width 4 and half height 2."""
     means = np.array([[10.0, 10.0], [33.9, 10.0], [34.1, 10.0], [10.0, 21.9], [10.0, 22.1], [40.0, 30.0], [10.0, 10.0]])
-    shown = rasterizer.Projection(
+    projection = rasterizer.Projection(
         means2d=jnp.asarray(means[None], jnp.float32),
         depths=jnp.ones((1, 7), jnp.float32),
         conics=jnp.ones((1, 7, 3), jnp.float32),
         extents=jnp.tile(jnp.array([4.0, 2.0], jnp.float32), (1, 7, 1)),
         visible=jnp.arange(7)[None] < 6,
     )
-    seen = in_photo(shown, jnp.array([30, 20], jnp.int32))
-    np.testing.assert_array_equal(seen, [True, True, False, True, False, False, False])
+    is_seen = in_photo(projection, jnp.array([30, 20], jnp.int32))
+    np.testing.assert_array_equal(is_seen, [True, True, False, True, False, False, False])
 
 
 def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
@@ -268,16 +268,16 @@ def test_the_capacity_holds_every_view_with_headroom(setup):
     gaussians = cloud(ALIVE, capacity=CAPACITY, seed=1)
     needs = [int(jax.jit(rendering.needed_capacity)(gaussians, camera)) for camera in CAMERAS]
     assert largest_need(gaussians, setup.data) == max(needs)
-    chosen = chosen_capacity(gaussians, setup.data, headroom=1.5)
-    assert chosen % 4096 == 0 and 1.5 * max(needs) < chosen <= 1.5 * max(needs) + 4097
+    capacity = chosen_capacity(gaussians, setup.data, headroom=1.5)
+    assert capacity % 4096 == 0 and 1.5 * max(needs) < capacity <= 1.5 * max(needs) + 4097
 
 
 @pytest.mark.parametrize(
-    ("before", "kept"), [(None, False), (4_999, False), (5_000, True), (32_000, True), (32_001, False)]
+    ("before", "is_kept"), [(None, False), (4_999, False), (5_000, True), (32_000, True), (32_001, False)]
 )
-def test_a_phase_goes_on_in_the_buffer_of_before_where_it_serves(before, kept):
+def test_a_phase_goes_on_in_the_buffer_of_before_where_it_serves(before, is_kept):
     """Of 4,000 needed slots: not if it would soon be too short, nor if it is longer than a new one."""
-    assert kept_or(32_000, 8.0, before) == (before if kept else 32_000)
+    assert kept_or(32_000, 8.0, before) == (before if is_kept else 32_000)
 
 
 def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):

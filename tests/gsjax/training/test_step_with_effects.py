@@ -90,8 +90,8 @@ def test_held_effects_leave_the_others_as_they_were(data):
     assert_close(reported.loss, expected.loss)
     # Adam divides the rounding of other fusions by a small gradient: 2.3e-6 measured, where steps move 7.5e-3.
     assert_close(state.gaussians.sh_dc, without.gaussians.sh_dc, rtol=1e-4, atol=1e-5, why="other fusions, then Adam")
-    held = {name: effect.initial for name, effect in effects.items()}
-    assert_close(state.effects.numbers, jax.tree.map(jnp.asarray, held))
+    initial = {name: effect.initial for name, effect in effects.items()}
+    assert_close(state.effects.numbers, jax.tree.map(jnp.asarray, initial))
 
 
 @pytest.fixture(scope="module")
@@ -129,26 +129,31 @@ def learned(retaken):
 
 def test_gains_are_learned_from_photos(learned, retaken):
     true = retaken[3]
-    found = np.asarray(exposure.log_gains(learned["exposure"]))
-    np.testing.assert_allclose(found.mean(0), 0, atol=1e-6)
-    assert np.abs(found - true).max() < 0.05
+    gains = np.asarray(exposure.log_gains(learned["exposure"]))
+    np.testing.assert_allclose(gains.mean(0), 0, atol=1e-6)
+    assert np.abs(gains - true).max() < 0.05
 
 
 def corners(cameras) -> np.ndarray:
     """Pixels of the corners of a box within the cloud, in every picture, one after the other."""
     box = np.stack(np.meshgrid([-1, 1], [-1, 1], [3.5, 4.5]), -1).reshape(-1, 3)
     local = [box @ np.asarray(c.viewmat)[:3, :3].T + np.asarray(c.viewmat)[:3, 3] for c in cameras]
-    shown = [each @ np.asarray(c.K).T for each, c in zip(local, cameras, strict=True)]
-    return np.concatenate([each[:, :2] / each[:, 2:] for each in shown]).ravel()
+    projections = [each @ np.asarray(c.K).T for each, c in zip(local, cameras, strict=True)]
+    return np.concatenate([each[:, :2] / each[:, 2:] for each in projections]).ravel()
 
 
 def test_cameras_go_where_their_photos_were_taken(learned, retaken):
     """Up to what moves all of them with the world: what the best such move leaves of the pixels that things are off."""
     targets, effects, *_ = retaken
-    given = [replace(camera, viewmat=target.camera.viewmat) for camera, target in zip(CAMERAS, targets, strict=True)]
+    start_cameras = [
+        replace(camera, viewmat=target.camera.viewmat) for camera, target in zip(CAMERAS, targets, strict=True)
+    ]
     moves = poses.moves(learned["poses"], CENTERS, 4.0, np.full(3, True), np.zeros(3, int))
     np.testing.assert_allclose(gauge(CENTERS, 4.0).T @ in_units(moves), 0, atol=1e-6)
-    found = [apply_twist(camera, jnp.asarray(in_units([move])), 4.0) for camera, move in zip(given, moves, strict=True)]
+    refined_cameras = [
+        apply_twist(camera, jnp.asarray(in_units([move])), 4.0)
+        for camera, move in zip(start_cameras, moves, strict=True)
+    ]
     with_world = [
         corners([apply_twist(c, jnp.asarray(1e-3 * t), 4.0) for c, t in zip(CAMERAS, mode.reshape(3, 6), strict=True)])
         for mode in gauge(CENTERS, 4.0).T
@@ -159,8 +164,8 @@ def test_cameras_go_where_their_photos_were_taken(learned, retaken):
         difference = corners(cameras) - corners(CAMERAS)
         return np.abs(difference - slopes @ np.linalg.lstsq(slopes, difference, rcond=None)[0]).mean()
 
-    assert off(given) > 0.1  # pixels
-    assert off(found) < 0.1 * off(given)
+    assert off(start_cameras) > 0.1  # pixels
+    assert off(refined_cameras) < 0.1 * off(start_cameras)
     assert np.abs(learned["poses"]["log_focals"]).max() < 0.01
 
 
@@ -168,10 +173,10 @@ def test_the_sky_is_learned_where_it_is_open(learned, retaken):
     """Gains that are a little off make up for a sky that is: as the mean photo has it."""
     pictures = list(gallery.pictures(cloud(200, seed=5), CAMERAS, np.zeros(3)))
     for camera, picture in zip(CAMERAS, pictures, strict=True):
-        sky, found = (
+        sky, learned_sky = (
             np.asarray(backdrop.color_behind(jnp.asarray(each), camera)) for each in (SKY, learned["background"])
         )
-        assert np.abs((1 - picture.alphas)[..., None] * (found - sky)).mean() < 0.02
+        assert np.abs((1 - picture.alphas)[..., None] * (learned_sky - sky)).mean() < 0.02
 
 
 def in_units(moves) -> np.ndarray:

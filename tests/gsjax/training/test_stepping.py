@@ -51,30 +51,30 @@ def toy_steps(data, capacity, **how):
         step = guarded_step(differentiate, update, BACKGROUNDS["white"])
         return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))
 
-    told, looked = [], {}
+    records, values = [], {}
 
     def after(step, state, metrics, capacity):
-        told.append((step, capacity, int(metrics.needed)))
+        records.append((step, capacity, int(metrics.needed)))
         if how.get("looks", lambda step: True)(step):
-            looked[step] = float(state.seen)
+            values[step] = float(state.seen)
         return state
 
     state = Toy(jnp.int32(40), jnp.float32(0))
     end, length = stepping.advance(compiled, after, state, data, (0, 9), seed=1, capacity=capacity, **how)
-    assert length == told[-1][1]
-    return float(end.seen), int(end.step), told, looked
+    assert length == records[-1][1]
+    return float(end.seen), int(end.step), records, values
 
 
 def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
     """Two steps overflow, and the next photo would fit: the step that was begun with it must leave no trace."""
     data = batches.read_batches(frames)
-    seen, step, told, looked = toy_steps(data, 64)
-    assert step == 49 and [each[0] for each in told] == list(range(1, 10))
-    assert sorted({capacity for _, capacity, _ in told}) == [4096, 12288], "at the first step and a later one"
+    photo_code, step, records, values = toy_steps(data, 64)
+    assert step == 49 and [each[0] for each in records] == list(range(1, 10))
+    assert sorted({capacity for _, capacity, _ in records}) == [4096, 12288], "at the first step and a later one"
     for looks in (lambda step: False, lambda step: step % 3 == 0):
         again = toy_steps(data, 64, looks=looks)
-        assert again[:3] == (seen, step, told)
-        assert again[3] == {step: value for step, value in looked.items() if looks(step)}
+        assert again[:3] == (photo_code, step, records)
+        assert again[3] == {step: value for step, value in values.items() if looks(step)}
 
 
 def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(frames):
@@ -85,19 +85,19 @@ def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(fra
         compiled.append(capacity)
 
         def step(state, target, key):
-            needed = needs[len(told)]
+            needed = needs[len(capacities)]
             return state, Metrics(jnp.float32(0), jnp.float32(0), needed, needed > capacity, {})
 
         return step
 
-    told = []
+    capacities = []
 
     def after(step, state, metrics, capacity):
-        told.append(capacity)
+        capacities.append(capacity)
         return {"means": np.zeros(7)} if step == 3 else state
 
     stepping.advance(make, after, {"means": np.zeros(5)}, data, (0, 4), seed=0, capacity=8192, room=4.0)
-    assert compiled == [8192, 24576] and told == [8192, 8192, 8192, 24576]
+    assert compiled == [8192, 24576] and capacities == [8192, 8192, 8192, 24576]
 
 
 def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog):
@@ -126,7 +126,7 @@ def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog
 @pytest.mark.parametrize("looks", [None, lambda step: False, lambda step: step % 2 == 0])
 def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_after_it(frames, looks):
     """Also where a state is looked at now and then, so that the next step is begun before the flag is read."""
-    data, told, asked = batches.read_batches(frames), [], []
+    data, records, explanations = batches.read_batches(frames), [], []
 
     def compiled(capacity):
         def differentiate(state, target, color, key):
@@ -140,16 +140,16 @@ def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_af
         return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))
 
     def after(step, state, metrics, capacity):
-        told.append((step, bool(np.isfinite(state.seen))))
+        records.append((step, bool(np.isfinite(state.seen))))
         return state
 
     def explain(step, state, target, capacity):
-        asked.append((step, int(state.step), float(state.seen), float(target.camera.viewmat[0, 3])))
+        explanations.append((step, int(state.step), float(state.seen), float(target.camera.viewmat[0, 3])))
         return "the fault"
 
     state = Toy(jnp.int32(40), jnp.float32(0))
     with pytest.raises(InputError, match="^step 5, the fault; training stops before it and keeps what it saved$"):
         how = {"seed": 1, "capacity": 64, "looks": looks, "explain": explain}
         stepping.advance(compiled, after, state, data, (0, 9), **how)
-    assert told == [(step, True) for step in range(1, 5)]
-    assert asked == [(4, 44, 4.0, float(data.views[stepping.view_order(1, 4, 3)].camera.viewmat[0, 3]))]
+    assert records == [(step, True) for step in range(1, 5)]
+    assert explanations == [(4, 44, 4.0, float(data.views[stepping.view_order(1, 4, 3)].camera.viewmat[0, 3]))]

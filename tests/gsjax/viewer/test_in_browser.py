@@ -44,7 +44,7 @@ def psnr(shot, picture):
     return 10 * np.log10(255**2 / max(squared, 1e-9))
 
 
-def looked(client, tab, at: PageCamera, picture):
+def screenshot(client, tab, at: PageCamera, picture):
     """The screenshot from a camera: once it shows the picture, or else the last one."""
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
@@ -62,8 +62,8 @@ def test_a_known_pose_shows_the_known_picture_a_moved_camera_another_and_who_lea
     monkeypatch.setattr(pages, "LONGEST", (str(max(SIZE)), "960"))
     poses = [page_camera(camera) for camera in (FIRST, SECOND)]
     cameras = [camera_of(at._replace(width=SIZE[0], height=SIZE[1]), SIZE) for at in poses]
-    drawn = gallery.pictures(VIEWED.gaussians, cameras, VIEWED.background)
-    pictures = [to_bytes(picture.colors) for picture in drawn]
+    views = gallery.pictures(VIEWED.gaussians, cameras, VIEWED.background)
+    pictures = [to_bytes(picture.colors) for picture in views]
     with Page(VIEWED, host="127.0.0.1", port=0) as page:
         page.switches[SIDE].value = str(SIZE[0])
         working = threading.Thread(target=page.work)
@@ -74,7 +74,7 @@ def test_a_known_pose_shows_the_known_picture_a_moved_camera_another_and_who_lea
                 tab.call("Page.navigate", url=page.address)
                 wait(lambda: len(page.queue) and page.queue.is_idle)
                 (client,) = page.server.get_clients().values()
-                shots = [looked(client, tab, *seen) for seen in zip(poses, pictures, strict=True)]
+                shots = [screenshot(client, tab, *arguments) for arguments in zip(poses, pictures, strict=True)]
             wait(lambda: not len(page.queue) and not page.server.get_clients())
             assert working.is_alive()
         finally:

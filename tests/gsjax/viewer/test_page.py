@@ -63,19 +63,19 @@ def wait(true):
 
 
 def test_a_browser_is_sent_what_its_camera_sees_coarse_then_whole_and_nothing_for_no_camera(monkeypatch):
-    told = page_camera(AT)
+    camera = page_camera(AT)
     with served(monkeypatch) as (page, state):
-        page.queue.move("me", told)
+        page.queue.move("me", camera)
         wait(lambda: len(state.received) == 2 and page.queue.is_idle)
-        page.queue.move("me", told._replace(position=np.full(3, np.nan)))
+        page.queue.move("me", camera._replace(position=np.full(3, np.nan)))
         wait(lambda: page.queue.is_idle)
-        page.queue.move("gone", told)
+        page.queue.move("gone", camera)
         wait(lambda: page.queue.is_idle)
         assert page._status.content.startswith("32x32 in ")
     (coarse, form), (whole, exact) = state.received
     assert (form, exact) == ("jpeg", "png") and coarse.shape == (16, 16, 3)
-    size = picture_size(told, 32)
-    expected = draw_picture(COLOR, SCENE, camera_of(told, size), VIEWED.background)
+    size = picture_size(camera, 32)
+    expected = draw_picture(COLOR, SCENE, camera_of(camera, size), VIEWED.background)
     np.testing.assert_array_equal(whole, expected)
 
 
@@ -84,20 +84,20 @@ def test_news_bring_the_background_that_is_learned_and_only_the_full_picture(mon
     behind = np.array([0.2, 0.4, 0.8], np.float32)
     news = [News(SCENE, "step 1 of 2", backdrop.constant_coefficients(behind, 0))]
     monkeypatch.setattr(pages, "PATIENCE", 0.01)
-    monkeypatch.setattr(PictureQueue, "redraw", lambda queue, *, only_full=False: asked.append(only_full))
-    asked, begun = [], threading.Event()
-    with served(monkeypatch, news=lambda: news.pop() if news and begun.is_set() else None) as (page, state):
+    monkeypatch.setattr(PictureQueue, "redraw", lambda queue, *, only_full=False: redraws.append(only_full))
+    redraws, start_event = [], threading.Event()
+    with served(monkeypatch, news=lambda: news.pop() if news and start_event.is_set() else None) as (page, state):
         page.queue.move("me", page_camera(AT))
         wait(lambda: state.received)
-        asked.clear()
-        begun.set()
-        wait(lambda: asked)
+        redraws.clear()
+        start_event.set()
+        wait(lambda: redraws)
         page.queue.move("me", page_camera(AT))
         wait(lambda: len(state.received) == 2)
     (before, _), (after, _) = state.received
     np.testing.assert_array_equal(before, np.broadcast_to(to_bytes(VIEWED.background), before.shape))
     np.testing.assert_array_equal(after, np.broadcast_to(to_bytes(behind), after.shape))
-    assert asked == [True]
+    assert redraws == [True]
 
 
 def test_a_browser_that_leaves_while_it_is_drawn_for_disturbs_nobody(monkeypatch):
@@ -109,14 +109,14 @@ def test_a_browser_that_leaves_while_it_is_drawn_for_disturbs_nobody(monkeypatch
     with served(monkeypatch) as (page, state):
         clients, draw = {"me": state, "other": Visitor()}, pages.draw_picture
 
-        def drawn(*what):
+        def draw_and_leave(*what):
             clients.pop("me", None)
             page.queue.remove("me")
             return draw(*what)
 
         monkeypatch.setattr(page.server, "get_clients", lambda: clients)
         monkeypatch.setattr(state, "set_background_image", closed)
-        monkeypatch.setattr(pages, "draw_picture", drawn)
+        monkeypatch.setattr(pages, "draw_picture", draw_and_leave)
         page.queue.move("me", page_camera(AT))
         wait(lambda: not len(page.queue) and page.queue.is_idle)
         page.queue.move("other", page_camera(AT))
@@ -124,10 +124,10 @@ def test_a_browser_that_leaves_while_it_is_drawn_for_disturbs_nobody(monkeypatch
 
 
 def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen()
+        port = listener.getsockname()[1]
         line = f"--port {port} on 127.0.0.1: Address already in use; choose another with --port"
         with pytest.raises(InputError) as raised:
             check_port("127.0.0.1", port)
@@ -147,13 +147,13 @@ def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
 
 def answer(page, *lines, then=b"", until=lambda: True):
     """First line of what the server says to a request for a WebSocket; then more is sent, and something awaited."""
-    wanted = (
+    headers = (
         "Connection: Upgrade",
         "Upgrade: websocket",
         "Sec-WebSocket-Version: 13",
         "Sec-WebSocket-Key: " + 22 * "A" + "==",
     )
-    request = "\r\n".join(["GET / HTTP/1.1", *wanted, *lines, "", ""])
+    request = "\r\n".join(["GET / HTTP/1.1", *headers, *lines, "", ""])
     with socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=10) as connection:
         connection.sendall(request.encode())
         first = connection.recv(200).split(b"\r\n")[0].decode()

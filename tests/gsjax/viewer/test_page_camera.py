@@ -15,8 +15,8 @@ PAGE = PageCamera(np.array([0.3, -2.0, 1.5]), TURN.as_quat(scalar_first=True), 1
 
 def on_picture(camera, points):
     """`[N, 2]` where points are seen, in shares of the picture's sides."""
-    seen = (points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]) @ camera.K.T
-    return seen[:, :2] / seen[:, 2:] / [camera.width, camera.height]
+    projections = (points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]) @ camera.K.T
+    return projections[:, :2] / projections[:, 2:] / [camera.width, camera.height]
 
 
 def test_a_point_is_where_the_page_sees_it_whatever_the_size_of_the_picture():
@@ -56,8 +56,8 @@ def test_what_is_no_camera_is_none(broken):
     assert camera_of(PAGE._replace(**broken), (64, 48)) is None
 
 
-@pytest.mark.parametrize(("fov", "shown"), [(0.0, FOVS[0]), (-1.0, FOVS[0]), (np.pi, FOVS[1]), (7.0, FOVS[1])])
-def test_a_field_of_view_that_no_pinhole_has_is_the_nearest_one(fov, shown):
+@pytest.mark.parametrize(("fov", "expected_fov"), [(0.0, FOVS[0]), (-1.0, FOVS[0]), (np.pi, FOVS[1]), (7.0, FOVS[1])])
+def test_a_field_of_view_that_no_pinhole_has_is_the_nearest_one(fov, expected_fov):
     camera = camera_of(PAGE._replace(fov=fov), (64, 48))
     assert np.isfinite(camera.K).all() and (np.diag(camera.K) > 0).all()
-    np.testing.assert_allclose(2 * np.arctan(24 / camera.K[1, 1]), shown, rtol=1e-5)
+    np.testing.assert_allclose(2 * np.arctan(24 / camera.K[1, 1]), expected_fov, rtol=1e-5)

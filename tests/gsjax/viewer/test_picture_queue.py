@@ -26,7 +26,7 @@ def queue(clock):
     return PictureQueue(lambda: clock.now)
 
 
-def taken(queue):
+def take_all(queue):
     """All that is due now."""
     requests = []
     while (request := queue.take(0)) is not None:
@@ -36,22 +36,22 @@ def taken(queue):
 
 def test_a_camera_gets_a_coarse_picture_at_once_and_the_full_one_when_it_rests(queue, clock):
     queue.move("me", A)
-    assert taken(queue) == [Request("me", A, False)]
+    assert take_all(queue) == [Request("me", A, False)]
     clock.now += 0.9 * REST
-    assert taken(queue) == []
+    assert take_all(queue) == []
     clock.now += 0.2 * REST
-    assert taken(queue) == [Request("me", A, True)]
+    assert take_all(queue) == [Request("me", A, True)]
     clock.now += 100
-    assert taken(queue) == []
+    assert take_all(queue) == []
 
 
 def test_coarse_pictures_come_first_and_who_waits_longest_is_served_first(queue, clock):
     queue.move("first", A)
     clock.now += 2 * REST
-    assert taken(queue) == [Request("first", A, False), Request("first", A, True)]
+    assert take_all(queue) == [Request("first", A, False), Request("first", A, True)]
     queue.redraw()
     clock.now += 0.01
     queue.move("second", B)
-    assert taken(queue) == [Request("first", A, False), Request("second", B, False), Request("first", A, True)]
+    assert take_all(queue) == [Request("first", A, False), Request("second", B, False), Request("first", A, True)]
     clock.now += 2 * REST
-    assert taken(queue) == [Request("second", B, True)]
+    assert take_all(queue) == [Request("second", B, True)]

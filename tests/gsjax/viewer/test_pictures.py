@@ -20,13 +20,13 @@ def camera(target=(0.0, 0.0, 4.0)):
 
 def test_every_kind_is_the_picture_that_its_name_says():
     (picture,) = gallery.pictures(SCENE, [camera()], BACKGROUND)
-    drawn = {kind: draw_picture(kind, SCENE, camera(), BACKGROUND) for kind in KINDS}
-    assert all(image.shape == (32, 32, 3) and image.dtype == np.uint8 for image in drawn.values())
-    np.testing.assert_allclose(drawn[COLOR].astype(int), to_bytes(picture.colors).astype(int), atol=1)
+    images = {kind: draw_picture(kind, SCENE, camera(), BACKGROUND) for kind in KINDS}
+    assert all(image.shape == (32, 32, 3) and image.dtype == np.uint8 for image in images.values())
+    np.testing.assert_allclose(images[COLOR].astype(int), to_bytes(picture.colors).astype(int), atol=1)
     nothing = picture.depth == 0
     assert nothing.any() and not nothing.all()
-    assert (drawn[DEPTH][nothing] == 0).all() and (drawn[DEPTH][~nothing] > 0).all()
-    assert (drawn[NORMALS][nothing] == 255).all() and (drawn[NORMALS][~nothing] < 255).any()
+    assert (images[DEPTH][nothing] == 0).all() and (images[DEPTH][~nothing] > 0).all()
+    assert (images[NORMALS][nothing] == 255).all() and (images[NORMALS][~nothing] < 255).any()
 
 
 def test_a_view_of_nothing_is_the_background_and_a_sky_depends_on_the_direction():
@@ -37,5 +37,5 @@ def test_a_view_of_nothing_is_the_background_and_a_sky_depends_on_the_direction(
     sky = np.random.default_rng(0).normal(0, 0.3, (4, 3)).astype(np.float32)
     expected = to_bytes(np.clip(np.asarray(backdrop.color_behind(jnp.asarray(sky), away)), 0, 1))
     assert expected.std(axis=(0, 1)).max() > 5
-    for shown in (draw_picture(COLOR, SCENE, away, sky), bare_background(sky, away)):
-        np.testing.assert_allclose(shown.astype(int), expected.astype(int), atol=1)
+    for image in (draw_picture(COLOR, SCENE, away, sky), bare_background(sky, away)):
+        np.testing.assert_allclose(image.astype(int), expected.astype(int), atol=1)

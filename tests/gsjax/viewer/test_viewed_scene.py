@@ -45,9 +45,9 @@ def placed(monkeypatch):
 
 
 def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(run):
-    told = []
-    viewed = open_viewed_scene(run, notify=told.append)
-    assert told == [f"no photos: {run}/manifest.json: cannot be read (No such file or directory)"]
+    messages = []
+    viewed = open_viewed_scene(run, notify=messages.append)
+    assert messages == [f"no photos: {run}/manifest.json: cannot be read (No such file or directory)"]
     assert list(viewed.cameras) == ["0.jpg", "1.jpg"] and not viewed.photos and viewed.mesh is None
     np.testing.assert_array_equal(viewed.background, [1, 1, 1])
     np.testing.assert_array_equal(viewed.start.viewmat, CAMERAS[0].viewmat)
@@ -65,10 +65,10 @@ def test_a_mesh_alone_is_shown_as_a_mesh_from_where_it_is_seen_whole(tmp_path, s
     write_mesh(file, TETRAHEDRON)
     viewed = open_viewed_scene(file)
     assert viewed.gaussians is None and viewed.mesh == file
-    seen = TETRAHEDRON.vertices @ viewed.start.viewmat[:3, :3].T + viewed.start.viewmat[:3, 3]
-    pixels = seen @ np.asarray(viewed.start.K).T
+    camera_points = TETRAHEDRON.vertices @ viewed.start.viewmat[:3, :3].T + viewed.start.viewmat[:3, 3]
+    pixels = camera_points @ np.asarray(viewed.start.K).T
     pixels = pixels[:, :2] / pixels[:, 2:]
-    assert (seen[:, 2] > 0).all() and (pixels > 0).all() and (pixels < [800, 600]).all()
+    assert (camera_points[:, 2] > 0).all() and (pixels > 0).all() and (pixels < [800, 600]).all()
     np.testing.assert_array_equal(viewed.up, [0, 0, 1])
     # What the browser gets holds the same triangles and colours.
     (tmp_path / "back.glb").write_bytes(glb_bytes(file))

@@ -29,18 +29,18 @@ def mesh():
 @pytest.mark.parametrize("name", ["m.ply", "m.glb", "M.GLB", "m.PLY"])
 def test_round_trip_is_exact(tmp_path, mesh, name):
     write_mesh(tmp_path / name, mesh)
-    found = read_mesh(tmp_path / name)
-    np.testing.assert_array_equal(found.vertices, mesh.vertices)
-    np.testing.assert_array_equal(found.faces, mesh.faces)
-    np.testing.assert_array_equal(found.colors, mesh.colors)
-    assert (found.vertices.dtype, found.faces.dtype, found.colors.dtype) == (np.float32, np.int32, np.uint8)
+    result = read_mesh(tmp_path / name)
+    np.testing.assert_array_equal(result.vertices, mesh.vertices)
+    np.testing.assert_array_equal(result.faces, mesh.faces)
+    np.testing.assert_array_equal(result.colors, mesh.colors)
+    assert (result.vertices.dtype, result.faces.dtype, result.colors.dtype) == (np.float32, np.int32, np.uint8)
 
 
 def test_round_trip_through_obj_keeps_float32(tmp_path, mesh):
     write_mesh(tmp_path / "m.obj", mesh)
-    found = read_mesh(tmp_path / "m.obj")
-    np.testing.assert_allclose(found.vertices[found.faces], mesh.vertices[mesh.faces], rtol=1e-7, atol=1e-7)
-    np.testing.assert_array_equal(found.colors[found.faces], mesh.colors[mesh.faces])
+    result = read_mesh(tmp_path / "m.obj")
+    np.testing.assert_allclose(result.vertices[result.faces], mesh.vertices[mesh.faces], rtol=1e-7, atol=1e-7)
+    np.testing.assert_array_equal(result.colors[result.faces], mesh.colors[mesh.faces])
 
 
 def test_glb_holds_the_scenes_own_axes(tmp_path, mesh):
@@ -97,8 +97,8 @@ def test_truncated_files_are_refused(tmp_path, mesh, name):
 
 def test_no_colours_in_the_file_is_grey(tmp_path):
     (tmp_path / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    found = read_mesh(tmp_path / "m.obj")
-    np.testing.assert_array_equal(found.colors, np.full((3, 3), 128))
+    result = read_mesh(tmp_path / "m.obj")
+    np.testing.assert_array_equal(result.colors, np.full((3, 3), 128))
 
 
 @pytest.fixture
@@ -119,19 +119,19 @@ def nearest(picture, uvs):
 @pytest.mark.parametrize("name", ["m.glb", "m.obj"])
 def test_a_texture_round_trips(tmp_path, textured, name):
     write_textured(tmp_path / name, textured)
-    found = read_textured(tmp_path / name)
-    np.testing.assert_array_equal(found.texture, textured.texture)
+    result = read_textured(tmp_path / name)
+    np.testing.assert_array_equal(result.texture, textured.texture)
     corners = textured.mesh.faces
     np.testing.assert_allclose(
-        found.mesh.vertices[found.mesh.faces], textured.mesh.vertices[corners], rtol=1e-7, atol=1e-7
+        result.mesh.vertices[result.mesh.faces], textured.mesh.vertices[corners], rtol=1e-7, atol=1e-7
     )
-    ours, theirs = textured.atlas.uvs[textured.atlas.faces], found.atlas.uvs[found.atlas.faces]
+    ours, theirs = textured.atlas.uvs[textured.atlas.faces], result.atlas.uvs[result.atlas.faces]
     np.testing.assert_allclose(theirs, ours, atol=1e-6)
-    np.testing.assert_array_equal(found.mesh.faces, found.atlas.faces)
+    np.testing.assert_array_equal(result.mesh.faces, result.atlas.faces)
     # A reader that knows of no textures shows what they hold at the corners.
-    seen = read_mesh(tmp_path / name)
+    colored_mesh = read_mesh(tmp_path / name)
     np.testing.assert_array_equal(
-        seen.colors[seen.faces].reshape(-1, 3), nearest(textured.texture, ours.reshape(-1, 2))
+        colored_mesh.colors[colored_mesh.faces].reshape(-1, 3), nearest(textured.texture, ours.reshape(-1, 2))
     )
 
 
@@ -139,11 +139,13 @@ def test_open3d_reads_the_same_texture_from_obj(tmp_path, textured):
     import open3d as o3d
 
     write_textured(tmp_path / "m.obj", textured)
-    found = o3d.io.read_triangle_mesh(str(tmp_path / "m.obj"), enable_post_processing=False)
+    o3d_mesh = o3d.io.read_triangle_mesh(str(tmp_path / "m.obj"), enable_post_processing=False)
     np.testing.assert_allclose(
-        np.asarray(found.vertices)[np.asarray(found.triangles)], textured.mesh.vertices[textured.mesh.faces], rtol=1e-6
+        np.asarray(o3d_mesh.vertices)[np.asarray(o3d_mesh.triangles)],
+        textured.mesh.vertices[textured.mesh.faces],
+        rtol=1e-6,
     )
-    picture, uvs = np.asarray(found.textures[-1])[..., :3], np.asarray(found.triangle_uvs)
+    picture, uvs = np.asarray(o3d_mesh.textures[-1])[..., :3], np.asarray(o3d_mesh.triangle_uvs)
     ours = textured.atlas.uvs[textured.atlas.faces].reshape(-1, 2)
     # Open3D turns the picture over where its places count from below.
     np.testing.assert_array_equal(nearest(picture, uvs), nearest(textured.texture, ours))
@@ -236,8 +238,8 @@ def test_a_usdz_is_what_its_document_says(tmp_path):
         np.testing.assert_array_equal(np.asarray(Image.open(archive.open(picture))), texture)
 
     def numbers(name):
-        (found,) = re.findall(rf"{re.escape(name)} = \[(.*?)\]", text)
-        return np.array(re.findall(r"[-\d.e+]+", found), np.float64)
+        (array_text,) = re.findall(rf"{re.escape(name)} = \[(.*?)\]", text)
+        return np.array(re.findall(r"[-\d.e+]+", array_text), np.float64)
 
     np.testing.assert_array_equal(numbers("points").astype(np.float32).reshape(-1, 3), mesh.vertices)
     np.testing.assert_array_equal(numbers("faceVertexIndices").reshape(-1, 3), faces)

@@ -27,7 +27,7 @@ end_header
 TEXTURED = "textured"
 
 
-def written(path, kind):
+def write_sample(path, kind):
     """Writes the file of a mesh; a material and a picture may lie beside it."""
     rng = np.random.default_rng(0)
     corners = rng.normal(size=(90, 3)).astype(np.float32)
@@ -55,7 +55,7 @@ def written(path, kind):
 )
 def test_fuzz_meshes(tmp_path, name, kind):
     path = tmp_path / name
-    written(path, kind)
+    write_sample(path, kind)
 
     def read():
         textured = read_textured(path)

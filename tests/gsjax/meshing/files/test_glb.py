@@ -40,9 +40,9 @@ def test_the_file_holds_light_in_normalized_16_bits(unlit):
 def test_every_value_comes_back_as_it_was(tmp_path):
     mesh = every_value()
     write_mesh(tmp_path / "m.glb", mesh)
-    found = read_mesh(tmp_path / "m.glb")
-    np.testing.assert_array_equal(found.colors, mesh.colors)
-    np.testing.assert_array_equal(found.vertices, mesh.vertices)
+    result = read_mesh(tmp_path / "m.glb")
+    np.testing.assert_array_equal(result.colors, mesh.colors)
+    np.testing.assert_array_equal(result.vertices, mesh.vertices)
 
 
 @pytest.mark.parametrize(("component", "kind", "unit", "atol"), [(5126, "<f4", 1.0, 0), (5121, "u1", 255, 6)])
@@ -71,6 +71,6 @@ def test_several_meshes_in_one_file_keep_their_colours(tmp_path):
     two = one.copy()
     two.apply_translation([0, 0, 5])
     trimesh.Scene([one, two]).export(tmp_path / "two.glb")
-    found = read_mesh(tmp_path / "two.glb")
-    assert len(found.faces) == 2 * len(mesh.faces)
-    np.testing.assert_array_equal(found.colors, round(255 * (1.055 * (55 / 255) ** (1 / 2.4) - 0.055)))
+    result = read_mesh(tmp_path / "two.glb")
+    assert len(result.faces) == 2 * len(mesh.faces)
+    np.testing.assert_array_equal(result.colors, round(255 * (1.055 * (55 / 255) ** (1 / 2.4) - 0.055)))

@@ -22,10 +22,10 @@ def quad_with_face_colors(path, rows=("255 0 0", "0 0 255")):
 
 def test_colours_of_faces_are_those_of_their_corners(tmp_path):
     quad_with_face_colors(tmp_path / "m.ply")
-    found = read_mesh(tmp_path / "m.ply")
-    np.testing.assert_array_equal(found.colors[found.faces], [[[255, 0, 0]] * 3, [[0, 0, 255]] * 3])
+    mesh = read_mesh(tmp_path / "m.ply")
+    np.testing.assert_array_equal(mesh.colors[mesh.faces], [[[255, 0, 0]] * 3, [[0, 0, 255]] * 3])
     corners = [[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]
-    np.testing.assert_array_equal(found.vertices[found.faces], corners)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], corners)
     quad_with_face_colors(tmp_path / "m.ply", ("9 8 7", "9 8 7"))
     assert read_mesh(tmp_path / "m.ply").num_vertices == 4  # nothing is doubled without need
 
@@ -44,11 +44,11 @@ def test_coloured_parts_of_a_glb_keep_their_colours_and_places(tmp_path):
     box.visual.vertex_colors = [0, 55, 255, 255]
     scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([6, 0, 0]))
     scene.export(tmp_path / "m.glb")
-    found = read_mesh(tmp_path / "m.glb")
-    assert found.num_faces == 4 * 12
-    part = np.rint(found.vertices[:, 0] / 2).astype(int)
+    mesh = read_mesh(tmp_path / "m.glb")
+    assert mesh.num_faces == 4 * 12
+    part = np.rint(mesh.vertices[:, 0] / 2).astype(int)
     expected = np.array([[255, 0, 128], [0, 188, 0], [255, 255, 255], [0, 128, 255]])
-    assert np.abs(found.colors.astype(int) - expected[part]).max() <= 1
+    assert np.abs(mesh.colors.astype(int) - expected[part]).max() <= 1
 
 
 def test_colours_of_a_glb_are_those_of_its_texture_or_vertices_times_the_factor_of_its_material(tmp_path):
@@ -77,18 +77,18 @@ def test_colours_of_a_glb_are_those_of_its_texture_or_vertices_times_the_factor_
     for name, parts in (("one.glb", boxes[:1]), ("two.glb", boxes)):
         trimesh.Scene(parts).export(tmp_path / name, tree_postprocessor=with_material)
     for name in ("textured.glb", "one.glb", "two.glb"):
-        found = read_mesh(tmp_path / name)
-        assert np.abs(found.colors.astype(int) - [188, 100, 0]).max() <= 1, name
-        assert found.num_faces == (24 if name == "two.glb" else 12)
+        result = read_mesh(tmp_path / name)
+        assert np.abs(result.colors.astype(int) - [188, 100, 0]).max() <= 1, name
+        assert result.num_faces == (24 if name == "two.glb" else 12)
 
 
 def test_coloured_materials_of_an_obj_are_its_colours(tmp_path):
     (tmp_path / "k.mtl").write_text("newmtl r\nKd 0.8 0.1 0.2\nnewmtl b\nKd 0 0 1\n")
     vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
     (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{vertices}usemtl r\nf 1 2 3\nusemtl b\nf 2 4 3\n")
-    found = read_mesh(tmp_path / "k.obj")
+    mesh = read_mesh(tmp_path / "k.obj")
     colors = {
-        tuple(found.vertices[face].mean(0, np.float64).round(2).tolist()): found.colors[face] for face in found.faces
+        tuple(mesh.vertices[face].mean(0, np.float64).round(2).tolist()): mesh.colors[face] for face in mesh.faces
     }
     np.testing.assert_array_equal(colors[0.33, 0.33, 0.0], [[204, 26, 51]] * 3)
     np.testing.assert_array_equal(colors[0.67, 0.67, 0.0], [[0, 0, 255]] * 3)
@@ -146,9 +146,9 @@ def test_an_obj_with_an_index_that_is_none_is_refused(tmp_path, faces, fault):
 def test_indices_of_an_obj_are_those_of_the_format(tmp_path, faces, expected, mark):
     vertices = TRIANGLES[: TRIANGLES.index("vt")]
     (tmp_path / "m.obj").write_text(mark + vertices + faces, encoding="utf-8")
-    found = read_mesh(tmp_path / "m.obj")
+    mesh = read_mesh(tmp_path / "m.obj")
     corners = [line.split()[1:] for line in (vertices + faces).splitlines() if line.startswith("v ")]
-    np.testing.assert_array_equal(found.vertices[found.faces], np.array(corners, np.float32)[expected])
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], np.array(corners, np.float32)[expected])
 
 
 @pytest.mark.parametrize("most", [1, 255])
@@ -156,9 +156,9 @@ def test_colours_of_an_obj_are_shares_or_bytes_and_grey_where_there_are_none(tmp
     """Tabs, ends of lines of Windows and lines that go on change nothing."""
     rows = [f"v 0 0 0 {most} 0 {most / 5:g}", f"v\t1 0 0\t0 {most} 0", "v 0 \\\r\n 1 0", "f\t1 2 3"]
     (tmp_path / "m.obj").write_bytes("\r\n".join(rows).encode())
-    found = read_mesh(tmp_path / "m.obj")
-    np.testing.assert_array_equal(found.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    np.testing.assert_array_equal(found.colors, [[255, 0, 51], [0, 255, 0], [128, 128, 128]])
+    mesh = read_mesh(tmp_path / "m.obj")
+    np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    np.testing.assert_array_equal(mesh.colors, [[255, 0, 51], [0, 255, 0], [128, 128, 128]])
 
 
 @pytest.mark.parametrize(
@@ -175,8 +175,8 @@ def test_an_obj_says_which_colours_are_missing(tmp_path, capsys, material, fault
         (tmp_path / "k.mtl").write_text(material)
     (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{TRIANGLES}usemtl r\nf 1/1 2/2 3/3\n")
     assert read_mesh(tmp_path / "k.obj").num_faces == 1
-    told = f"{tmp_path / 'k.obj'}: {fault}; the colours that it would give are missing\n"
-    assert capsys.readouterr().err == told
+    message = f"{tmp_path / 'k.obj'}: {fault}; the colours that it would give are missing\n"
+    assert capsys.readouterr().err == message
 
 
 def test_a_ply_says_that_its_picture_is_missing_in_one_line(tmp_path, capsys, caplog):
@@ -199,7 +199,7 @@ def test_reading_takes_few_times_the_memory_of_what_it_returns(tmp_path, name):
     write_mesh(tmp_path / name, Mesh(random.normal(size=(10_000, 3)).astype(np.float32), faces, colors))
     read_mesh(tmp_path / name)  # Libraries are loaded.
     tracemalloc.start(1)
-    found = read_mesh(tmp_path / name)
+    mesh = read_mesh(tmp_path / name)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert most < 5 * (found.vertices.nbytes + found.faces.nbytes + found.colors.nbytes)
+    assert most < 5 * (mesh.vertices.nbytes + mesh.faces.nbytes + mesh.colors.nbytes)

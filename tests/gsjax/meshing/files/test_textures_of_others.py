@@ -36,9 +36,9 @@ def assert_four_colors(path):
     assert textured.atlas.uvs.min() >= -1e-4 and textured.atlas.uvs.max() <= 1 + 1e-4, "for writers that do not repeat"
     viewmat = np.array([[1, 0, 0, -0.5], [0, -1, 0, 0.5], [0, 0, -1, 2.0], [0, 0, 0, 1]])
     K, shading = np.array([[100, 0, 32], [0, 100, 32], [0, 0, 1.0]]), pictures.texture_colors(textured)
-    drawn = pictures.render_mesh(textured.mesh, viewmat, K, 64, 64, shading=shading)
+    image = pictures.render_mesh(textured.mesh, viewmat, K, 64, 64, shading=shading)
     for color, (x, y) in PLACES.items():
-        np.testing.assert_array_equal(drawn[int(32 + 50 * (0.5 - y)), int(32 + 50 * (x - 0.5))], color)
+        np.testing.assert_array_equal(image[int(32 + 50 * (0.5 - y)), int(32 + 50 * (x - 0.5))], color)
 
 
 def obj(
@@ -122,8 +122,8 @@ def test_an_obj_may_list_several_libraries_in_a_line(tmp_path, capsys):
 )
 def test_an_obj_names_the_colours_that_it_does_not_give(tmp_path, capsys, change, line):
     read_mesh(obj(tmp_path, **change))
-    said = [said for said in capsys.readouterr().err.splitlines() if line in said]
-    assert len(said) == 1 and said[0].endswith("the colours that it would give are missing")
+    messages = [message for message in capsys.readouterr().err.splitlines() if line in message]
+    assert len(messages) == 1 and messages[0].endswith("the colours that it would give are missing")
 
 
 @pytest.mark.parametrize("shift", [0, 1, -3])

@@ -116,10 +116,10 @@ def test_the_count_is_reached_and_the_largest_errors_split():
     # Ten more and a tenth of them all that moves: the worst takes the first free row.
     np.testing.assert_array_equal(np.asarray(moved.source)[free], parents[::-1])
     np.testing.assert_array_equal(np.flatnonzero(np.asarray(moved.source) != np.arange(ROWS)), free)
-    kept = [0, 4, 5, 6]
-    np.testing.assert_array_equal(np.flatnonzero(~np.asarray(moved.fresh)), kept)
+    rows = [0, 4, 5, 6]
+    np.testing.assert_array_equal(np.flatnonzero(~np.asarray(moved.fresh)), rows)
     for field in ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
-        np.testing.assert_array_equal(np.asarray(getattr(after, field))[kept], np.asarray(getattr(before, field))[kept])
+        np.testing.assert_array_equal(np.asarray(getattr(after, field))[rows], np.asarray(getattr(before, field))[rows])
     for side, index in ((-1.0, parents), (1.0, free[::-1])):
         expected = error_driven.split_half(rows_of(before, parents), jnp.full(13, side))
         assert_close(rows_of(after, index), rows_of(expected, slice(None)))
@@ -129,9 +129,9 @@ def test_a_full_budget_moves_from_the_least_seen_to_the_worst():
     before = scene(ROWS)
     weight = 100 - RISING  # Seen least: the last rows, were they not also those that split.
     weight[:6] = [3, 2, 1, 0, 4, 5]
-    seen = np.full(ROWS, 2.0)
-    seen[2] = 0  # in none of the views since
-    after, moved = densified(before, statistics(RISING, weight, seen))
+    view_counts = np.full(ROWS, 2.0)
+    view_counts[2] = 0  # in none of the views since
+    after, moved = densified(before, statistics(RISING, weight, view_counts))
     assert alive(after).all()
     np.testing.assert_array_equal(np.flatnonzero(np.asarray(moved.source) != np.arange(ROWS)), [0, 1, 3, 4])
     np.testing.assert_array_equal(np.asarray(moved.source)[[0, 1, 3, 4]], [39, 38, 37, 36])
@@ -168,15 +168,15 @@ def test_size_spares_the_far_points_of_small_budgets_too():
     start = from_points(points, np.full(points.shape, 0.5), capacity=len(points), sh_degree=0)
     in_axes = np.stack([jax.vmap(world_to_camera, (0, None))(start.means, camera) for camera in cameras])
     focal, middle = np.asarray(cameras[0].K)[0, 0], np.asarray(cameras[0].K)[:2, 2]
-    shown = (in_axes[..., 2] > 0) & np.all(np.abs(in_axes[..., :2]) * focal < middle * in_axes[..., 2:], -1)
+    is_visible = (in_axes[..., 2] > 0) & np.all(np.abs(in_axes[..., :2]) * focal < middle * in_axes[..., 2:], -1)
     rows, size = jnp.zeros(len(points)), extent(frames)
-    views, depths = (jnp.asarray(x.sum(0), jnp.float32) for x in (shown, shown * in_axes[..., 2] / size))
+    views, depths = (jnp.asarray(x.sum(0), jnp.float32) for x in (is_visible, is_visible * in_axes[..., 2] / size))
     sums = ErrorStatistics(rows, rows + 1, views, depths)
     how = {"density": Density(rule="error", replace=0.0), "extent": size, "prune_large": True}
     after, _ = error_driven.densify(start, sums, KEY, **how, count=jnp.int32(len(points)))
-    seen = shown.any(0)[600:]
-    assert seen.mean() > 0.9
-    assert alive(after)[600:][seen].all()
+    is_seen = is_visible.any(0)[600:]
+    assert is_seen.mean() > 0.9
+    assert alive(after)[600:][is_seen].all()
 
 
 @pytest.mark.parametrize("count", [0, 1, ROWS])
@@ -203,13 +203,13 @@ def test_a_budget_of_one_gaussian_neither_grows_nor_dies():
 
 def counts(density, start, budget, died=0):
     """Of Gaussians after every densification of 100 steps."""
-    found, count = [], start
+    history, count = [], start
     for step in range(1, 101):
         if densifies(density, step):
             rows = cloud(count - died, capacity=ROWS)
             count = int(error_driven.wanted_count(rows, None, density, step=jnp.int32(step), budget=budget))
-            found.append(count)
-    return found
+            history.append(count)
+    return history
 
 
 def test_the_budget_is_full_on_time_by_equal_factors():
@@ -269,8 +269,10 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
     assert inside.sum() == 24 * 20
     assert_close(state.statistics.weight, weights.sum(0), rtol=1e-4, atol=1e-4, why="sums of 480 pixels")
     assert_close(state.statistics.error, weights.T @ error, rtol=1e-4, atol=1e-4, why="sums of 480 pixels")
-    shown = np.asarray(state.statistics.views) > 0
-    assert_close(state.statistics.depths[:ALIVE], (np.where(shown[:ALIVE], depths[:ALIVE], 0) / EXTENT), kind="value")
+    is_visible = np.asarray(state.statistics.views) > 0
+    assert_close(
+        state.statistics.depths[:ALIVE], (np.where(is_visible[:ALIVE], depths[:ALIVE], 0) / EXTENT), kind="value"
+    )
 
 
 def test_watching_changes_nothing_else(setup):

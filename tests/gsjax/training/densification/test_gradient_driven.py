@@ -101,10 +101,10 @@ def test_split_positions_are_samples_of_the_gaussian():
     before = scene(size={3: 0.4})
     after = jax.vmap(lambda key: densified(before, gradients({3: 2.0}), key=key)[0])(jax.random.split(KEY, 2000))
     local = (after.means[:, np.array([3, ALIVE])] - before.means[None, None, 3]) @ rotation_matrices(before.quats)[3]
-    found = np.asarray(local, np.float64).reshape(-1, 3)
+    samples = np.asarray(local, np.float64).reshape(-1, 3)
     expected = np.asarray(scales(before))[3]
-    np.testing.assert_allclose(found.std(0), expected, rtol=0.06)  # 4,000 samples: 1.1 % a standard error
-    np.testing.assert_allclose(found.mean(0), np.zeros(3), atol=0.08 * expected.max())
+    np.testing.assert_allclose(samples.std(0), expected, rtol=0.06)  # 4,000 samples: 1.1 % a standard error
+    np.testing.assert_allclose(samples.mean(0), np.zeros(3), atol=0.08 * expected.max())
 
 
 def test_the_limit_between_clone_and_split_is_a_share_of_the_extent():
@@ -165,8 +165,8 @@ def test_a_large_gaussian_that_finds_no_row_for_its_second_half_waits():
 
 def densify_and_prune_of_3dgs(gaussians, gradient, prune_large):
     """Sizes and opacities of what is left, sorted, by the order of 3DGS: clone, split, then prune (numpy)."""
-    sizes, seen = np.asarray(scales(gaussians).max(1)), np.asarray(opacities(gaussians))
-    rows = [(sizes[k], seen[k], gradient.get(k, 0.0)) for k in np.flatnonzero(alive(gaussians))]
+    sizes, alphas = np.asarray(scales(gaussians).max(1)), np.asarray(opacities(gaussians))
+    rows = [(sizes[k], alphas[k], gradient.get(k, 0.0)) for k in np.flatnonzero(alive(gaussians))]
     rows += [(size, opacity, 0.0) for size, opacity, slope in rows if slope >= 0.5 and size <= 0.1]
     halves = [(size / 1.6, opacity, 0.0) for size, opacity, slope in rows if slope >= 0.5 and size > 0.1] * 2
     rows = [row for row in rows if not (row[2] >= 0.5 and row[0] > 0.1)] + halves
@@ -180,8 +180,8 @@ def test_with_room_enough_what_is_left_is_what_3dgs_leaves(prune_large):
     before = scene(opacity={6: 0.05, 8: 0.02, 9: 0.3}, size=sizes)
     after, _ = densified(before, gradients(gradient), prune_large)
     sizes_and_opacities = (np.asarray(scales(after).max(1)), np.asarray(opacities(after)))
-    found = sorted(zip(*(values[alive(after)] for values in sizes_and_opacities), strict=True))
-    np.testing.assert_allclose(found, densify_and_prune_of_3dgs(before, gradient, prune_large), rtol=1e-5)
+    remaining = sorted(zip(*(values[alive(after)] for values in sizes_and_opacities), strict=True))
+    np.testing.assert_allclose(remaining, densify_and_prune_of_3dgs(before, gradient, prune_large), rtol=1e-5)
 
 
 def steps_where(rule, *arguments, density, last=100):
@@ -260,5 +260,5 @@ def test_cull_removes_what_is_fainter():
     before = scene(opacity={2: 0.49, 3: 0.51})
     after = control.cull(before, 0.5)
     np.testing.assert_array_equal(alive(after), alive(before) & (np.arange(CAPACITY) != 2))
-    kept = alive(after)
-    assert_same_rows(after, before, kept)
+    is_alive = alive(after)
+    assert_same_rows(after, before, is_alive)

@@ -37,7 +37,7 @@ def frames():
     return photographed(cloud(50, seed=5), cameras)
 
 
-def _wanted(gaussians, statistics, density, *, step, budget):
+def _target_count(gaussians, statistics, density, *, step, budget):
     return jnp.int32(2 * ALIVE)
 
 
@@ -51,8 +51,10 @@ def _doubled(gaussians, statistics, key, *, density, extent, prune_large, count)
 
 DOUBLING = DENSIFICATION_RULES["adc"]._replace(  # Under `gradient=1e9` the rule of 3DGS never grows anything.
     empty_statistics=lambda count: {"seen": jnp.zeros(count, jnp.float32)},
-    accumulate=lambda sums, gradient, seen, distances, size: {"seen": sums["seen"] + seen.astype(jnp.float32)},
-    wanted_count=_wanted,
+    accumulate=lambda sums, gradient, is_visible, distances, size: {
+        "seen": sums["seen"] + is_visible.astype(jnp.float32)
+    },
+    wanted_count=_target_count,
     densify=_doubled,
 )
 
@@ -68,7 +70,7 @@ def trained(frames, rules, state, monkeypatch):
         frames,
         1.0,
         OPTIMIZER,
-        observe=lambda told: watched.append(jax.tree.map(np.array, told.state)),
+        observe=lambda progress: watched.append(jax.tree.map(np.array, progress.state)),
     )
     follow(work, state, 8192)
     return watched
@@ -112,10 +114,10 @@ def _densified(state):
     ],
 )
 def test_a_function_that_takes_its_state_says_so(name, change):
-    given = jax.tree.map(jnp.array, initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER))
-    changed = change(given)
-    assert given.gaussians.means.is_deleted() and not changed.gaussians.means.is_deleted()
+    state = jax.tree.map(jnp.array, initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER))
+    changed = change(state)
+    assert state.gaussians.means.is_deleted() and not changed.gaussians.means.is_deleted()
     with pytest.raises(RuntimeError, match="deleted"):
-        np.asarray(given.gaussians.means)
+        np.asarray(state.gaussians.means)
     assert "The state is donated: its arrays are deleted" in getattr(states, name).__doc__
     assert np.all(np.asarray(changed.gaussians.logit_opacities) >= DEAD_LOGIT)

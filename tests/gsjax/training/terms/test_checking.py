@@ -61,7 +61,7 @@ def test_what_is_read_only_where_it_is_there_is_no_need():
         partial(lambda weight, g, v, b: weight * jnp.mean(v.colors), 2.0),
         lambda g, v, b: 0.0,
         lambda g, v, b: jnp.mean(v.colors).astype(jnp.bfloat16),
-        lambda *seen: jnp.mean(jnp.abs(seen[1].colors - seen[2].image) * jnp.zeros((40, 48, 1))),  # of this very size
+        lambda *args: jnp.mean(jnp.abs(args[1].colors - args[2].image) * jnp.zeros((40, 48, 1))),  # of this very size
         *(term.loss for name, term in TERMS.items()),
     ],
 )
@@ -70,7 +70,7 @@ def test_any_function_of_the_three_that_returns_one_float_will_do(callable_):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         (lambda g, v, b: v.colors, r"returns an array of shape \(40, 48, 3\), expected one number"),
         (lambda g, v, b: jnp.mean(v.colors, keepdims=True), r"returns an array of shape \(1, 1, 1\), expected one"),
@@ -91,8 +91,8 @@ def test_any_function_of_the_three_that_returns_one_float_will_do(callable_):
     ],
 )
 @pytest.mark.parametrize("wrapped", [lambda loss: loss, lambda loss: Term(loss, {"depth"})])
-def test_what_is_wrong_with_a_term_is_one_line_that_names_it(wrong, said, wrapped):
-    with pytest.raises(InputError, match=f"^the loss term 'mine' {said}") as refused:
+def test_what_is_wrong_with_a_term_is_one_line_that_names_it(wrong, message, wrapped):
+    with pytest.raises(InputError, match=f"^the loss term 'mine' {message}") as refused:
         check(wrapped(wrong))
     assert str(refused.value).isprintable()
 

@@ -164,17 +164,17 @@ def test_measured_depth_is_the_share_that_it_is_off_weighed_by_trust(x64):
     rendered, measured = RNG.uniform(1, 5, (12, 14)), RNG.uniform(1, 5, (12, 14))
     trust = RNG.random((12, 14))
     rendered[0, :4], measured[1, :4], measured[2, :3] = 0, 0, (np.nan, np.inf, -1)
-    known = VALID & (rendered > 0) & np.isfinite(measured) & (measured > 0)
+    is_measured = VALID & (rendered > 0) & np.isfinite(measured) & (measured > 0)
     batch = replace(batch_of(), depth=jnp.asarray(measured), trust=jnp.asarray(trust))
 
     @jax.jit
     def term(rendered):
         return losses.measured_depth(None, View(None, None, rendered, None), batch)
 
-    off = np.abs(np.log(np.where(known, rendered, 1) / np.where(known, measured, 1)))
-    assert_close(term(jnp.asarray(rendered)), (off * trust)[known].sum() / trust[known].sum())
+    off = np.abs(np.log(np.where(is_measured, rendered, 1) / np.where(is_measured, measured, 1)))
+    assert_close(term(jnp.asarray(rendered)), (off * trust)[is_measured].sum() / trust[is_measured].sum())
     assert np.isfinite(np.asarray(jax.grad(term)(jnp.asarray(rendered)))).all()
-    inner = jnp.asarray(np.where(known, rendered, 3.0))  # Where there is no depth, none may step over zero.
+    inner = jnp.asarray(np.where(is_measured, rendered, 3.0))  # Where there is no depth, none may step over zero.
     check_grads(term, (inner,), order=1, modes=["rev"])
     nothing = replace(batch, depth=jnp.zeros((12, 14)))
     assert float(losses.measured_depth(None, View(None, None, inner, None), nothing)) == 0

@@ -186,7 +186,7 @@ def test_correlation_is_that_of_windows_in_float64(x64):
     rng = np.random.default_rng(0)
     a, b = rng.uniform(size=(2, HEIGHT, WIDTH))
     mask = rng.uniform(size=(HEIGHT, WIDTH)) < 0.8
-    found = jax.jit(multi_view.correlation)(jnp.asarray(a), jnp.asarray(b), jnp.asarray(mask))
+    correlation = jax.jit(multi_view.correlation)(jnp.asarray(a), jnp.asarray(b), jnp.asarray(mask))
     offsets = np.arange(-5, 6)
     window = np.exp(-0.5 * (offsets / 1.5) ** 2)
     for y, x in ((0, 0), (5, 7), (12, 16), (HEIGHT - 1, 3)):
@@ -197,7 +197,7 @@ def test_correlation_is_that_of_windows_in_float64(x64):
         weights /= weights.sum()
         apart = [image[at] - (weights * image[at]).sum() for image in (a, b)]
         squares = [(weights * each**2).sum() for each in apart]
-        assert_close(found[y, x], (weights * apart[0] * apart[1]).sum() / np.sqrt(np.prod(squares)))
+        assert_close(correlation[y, x], (weights * apart[0] * apart[1]).sum() / np.sqrt(np.prod(squares)))
 
 
 def test_photometric_has_the_gradient_of_finite_differences(x64):
@@ -211,10 +211,10 @@ def test_photometric_has_the_gradient_of_finite_differences(x64):
     def term(depth):
         around = Neighbor(neighbor, jnp.full((HEIGHT, WIDTH), 1.031 * AT), None, others, ALL)
         view = View(None, None, depth + shape, None, neighbor=around)
-        seen_at, off, kept = multi_view._journeys(view, Batch(camera, photo, ALL, None, None))
+        seen_at, off, is_valid = multi_view._journeys(view, Batch(camera, photo, ALL, None, None))
         read = jax.vmap(jax.vmap(partial(multi_view.sample_bilinear, jnp.mean(others, -1))))(seen_at)
-        unlike = 1 - multi_view.correlation(jnp.mean(photo, -1), read, kept)
-        return jnp.sum(jnp.where(kept, unlike, 0))
+        unlike = 1 - multi_view.correlation(jnp.mean(photo, -1), read, is_valid)
+        return jnp.sum(jnp.where(is_valid, unlike, 0))
 
     check_grads(jax.jit(term), (jnp.array(1.0307 * AT),), order=1, modes=["rev"], eps=1e-6)
 
@@ -256,16 +256,16 @@ def around(degrees):
 
 
 def test_neighbours_look_the_same_way_and_stand_apart():
-    found = multi_view.nearest_views(around(np.array([0, 0.01, 10, 21, 45, 180])), extent=4.0)
-    assert found.shape == (6, multi_view.NEAREST)
+    nearest = multi_view.nearest_views(around(np.array([0, 0.01, 10, 21, 45, 180])), extent=4.0)
+    assert nearest.shape == (6, multi_view.NEAREST)
     # Twice the same place is no baseline; 45 degrees are too wide from everywhere but 21.
-    assert [list(dict.fromkeys(row)) for row in found.tolist()] == [[2, 3], [2, 3], [1, 0, 3], [2, 1, 0, 4], [3], [5]]
-    assert np.bincount(found[3]).tolist() == [2, 2, 2, 0, 2]  # repeated in turn
+    assert [list(dict.fromkeys(row)) for row in nearest.tolist()] == [[2, 3], [2, 3], [1, 0, 3], [2, 1, 0, 4], [3], [5]]
+    assert np.bincount(nearest[3]).tolist() == [2, 2, 2, 0, 2]  # repeated in turn
     near = multi_view.nearest_views(around(np.array([0, 10, 21])), extent=2.0)
     assert [set(row) for row in near.tolist()] == [{1}, {0, 2}, {1}]  # 21 degrees are 1.46 apart: over half of 2
     # To within thirty degrees.
-    found = multi_view.nearest_views(around(np.array([0.0, 29.0, 59.5])), extent=20.0)
-    assert [set(row) for row in found.tolist()] == [{1}, {0}, {2}]
+    nearest = multi_view.nearest_views(around(np.array([0.0, 29.0, 59.5])), extent=20.0)
+    assert [set(row) for row in nearest.tolist()] == [{1}, {0}, {2}]
 
 
 def test_every_step_has_a_neighbour_of_its_view_beside_it():
@@ -283,13 +283,13 @@ def test_every_step_has_a_neighbour_of_its_view_beside_it():
 def test_views_have_a_neighbour_beside_them_in_their_share_of_the_steps():
     data = batches.read_batches(PHOTOS)
     whole = multi_view.with_neighbors(data, 8.0).neighbors
-    found = multi_view.with_neighbors(data, 8.0, np.array([1.0, 0.4, 0.0])).neighbors
-    assert [np.sum(row != view) / multi_view.NEAREST for view, row in enumerate(found)] == [1, 3 / 8, 0]
-    others = found != np.arange(3)[:, None]
-    np.testing.assert_array_equal(found[others], whole[others])
+    neighbors = multi_view.with_neighbors(data, 8.0, np.array([1.0, 0.4, 0.0])).neighbors
+    assert [np.sum(row != view) / multi_view.NEAREST for view, row in enumerate(neighbors)] == [1, 3 / 8, 0]
+    others = neighbors != np.arange(3)[:, None]
+    np.testing.assert_array_equal(neighbors[others], whole[others])
 
 
-def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: 1.0, begun=0):
+def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: 1.0, first_step=0):
     """Phase -> the neighbours that its views have."""
     neighbors = {}
 
@@ -299,7 +299,7 @@ def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: 1.0, begun
 
     monkeypatch.setattr(loop, "_run_phase", noted)
     optimizer = make_optimizer(Rates(), 1.0, 2)
-    state = replace(initial_state(cloud(9), optimizer), step=np.int32(begun))
+    state = replace(initial_state(cloud(9), optimizer), step=np.int32(first_step))
     planned = plan(Settings(schedule=Schedule(phases=phases)))
     loop.follow(loop.Work(planned, PHOTOS, 4.0, optimizer, prior=prior, shares=shares), state)
     return neighbors
@@ -312,19 +312,19 @@ def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch, sma
     assert neighbors["plain"] is None and neighbors["surface"].shape == (len(PHOTOS), multi_view.NEAREST)
 
 
-@pytest.mark.parametrize("begun", [0, 1])
-def test_a_phase_asks_in_what_share_of_its_steps_photos_are_compared_once_there_are_normals(monkeypatch, begun):
-    asked = []
+@pytest.mark.parametrize("first_step", [0, 1])
+def test_a_phase_asks_in_what_share_of_its_steps_photos_are_compared_once_there_are_normals(monkeypatch, first_step):
+    calls = []
 
     def prior(state):
-        asked.append("normals")
+        calls.append("normals")
         return [np.tile(np.int8([0, 0, -127]), (HEIGHT, WIDTH, 1))] * len(PHOTOS)
 
     def shares():
-        asked.append("shares")
+        calls.append("shares")
         return np.zeros(len(PHOTOS))
 
     phases = (Phase("plain", 1), Phase("surface", 1, Weights(multi_view=0.1, pixel_normal=0.1)))
-    neighbors = neighbors_of_phases(monkeypatch, phases, prior, shares=shares, begun=begun)
-    assert asked == ["normals", "shares"]
+    neighbors = neighbors_of_phases(monkeypatch, phases, prior, shares=shares, first_step=first_step)
+    assert calls == ["normals", "shares"]
     np.testing.assert_array_equal(neighbors["surface"], np.repeat(np.arange(len(PHOTOS))[:, None], 8, axis=1))

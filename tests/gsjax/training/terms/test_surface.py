@@ -26,7 +26,7 @@ ALL = jnp.ones((20, 24), bool)
 FACING = (0.0, 0.0, -1.0)
 
 
-def shown(gaussians, depth_mode="plane"):
+def render_view(gaussians, depth_mode="plane"):
     """All of the view but its colours, which the term does not read."""
     splats = rendering.splat(gaussians, CAMERA, 2048, depth_mode=depth_mode)
     expected, alphas = depth.expected_depth(splats)
@@ -35,7 +35,7 @@ def shown(gaussians, depth_mode="plane"):
 
 
 def value(gaussians, valid=ALL, depth_mode="plane"):
-    return depth_normal(gaussians, shown(gaussians, depth_mode), Batch(CAMERA, None, valid, None, None))
+    return depth_normal(gaussians, render_view(gaussians, depth_mode), Batch(CAMERA, None, valid, None, None))
 
 
 value_and_gradient = jax.jit(jax.value_and_grad(value))
@@ -74,8 +74,8 @@ def dense_depth_normal(gaussians, depth_mode="plane"):
     axes = jnp.take_along_axis(rotation_matrices(gaussians.quats), smallest[:, None, None], -1)[..., 0]
     facing = jnp.where(jnp.sum(axes * gaussians.means, -1, keepdims=True) > 0, -axes, axes)[order]
     apart = jnp.sum(weight * (1 - jnp.einsum("nk,hwk->hwn", facing, of_depth)), -1)
-    held = jax.lax.stop_gradient(alphas)  # Of the sum of weights only the part with a normal has a gradient.
-    return masked_mean(held * (apart - alphas + held), jnp.any(of_depth != 0, -1))
+    fixed_alphas = jax.lax.stop_gradient(alphas)  # Of the sum of weights only the part with a normal has a gradient.
+    return masked_mean(fixed_alphas * (apart - alphas + fixed_alphas), jnp.any(of_depth != 0, -1))
 
 
 dense_value_and_gradient = jax.jit(jax.value_and_grad(dense_depth_normal))
@@ -120,15 +120,15 @@ def test_the_term_is_that_of_all_splats_at_all_pixels(name):
     assert expected_value > 1e-6
     assert_close(value, expected_value, rtol=1e-4, atol=2e-8, why="a sum of weights in float32, less one")
     for field in FIELDS:
-        found, expected = getattr(gradient, field), getattr(slopes, field)
-        assert_close(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max(), why="small numbers")
+        actual, expected = getattr(gradient, field), getattr(slopes, field)
+        assert_close(actual, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max(), why="small numbers")
 
 
 def test_of_centers_too():
-    found = jax.jit(value, static_argnums=2)(CLOUD, ALL, "center")
+    result = jax.jit(value, static_argnums=2)(CLOUD, ALL, "center")
     with jax.enable_x64(True):
         expected = np.asarray(jax.jit(dense_depth_normal, static_argnums=1)(in_float64(CLOUD), "center"))
-    assert_close(found, expected)
+    assert_close(result, expected)
 
 
 def test_splats_that_lie_on_their_surface_agree_with_its_depth():
