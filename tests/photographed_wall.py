@@ -31,7 +31,7 @@ def wall(num_photos: int = 12, *, num_points: int = 400, distances=(3.0,), seed:
     return Scene(Path("wall"), "colmap", frames, points.astype(np.float32), colors, tracks=lambda: tracks)
 
 
-def written(scene: Scene, folder: Path) -> Path:
+def write_wall(scene: Scene, folder: Path) -> Path:
     """The scene as a data set on disk: a COLMAP model and its photos."""
     write_model(folder / "sparse/0", scene.frames, scene.points, scene.point_colors)
     for frame in scene.frames:

@@ -1,4 +1,4 @@
-"""Texts use the standard terms of the field, and no public name is a bare participle."""
+"""Texts use the standard terms of the field, and no name is a bare participle."""
 
 import ast
 import re
@@ -66,16 +66,17 @@ def private_words(path: Path) -> list[str]:
     return [f"{hit[0]!r}: {term}" for word, term in WORDS.items() for hit in re.finditer(rf"\b({word})\b", text, re.I)]
 
 
-def public_names(path: Path) -> set[str]:
-    """Names of a module, of its functions and classes, and of the fields of its classes."""
+def names_of(path: Path) -> set[str]:
+    """Names of a module, and of its functions, classes, parameters and variables, without underscores around them."""
     names = {path.stem}
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names.add(node.name)
-        if isinstance(node, ast.ClassDef):
-            targets = [part.target for part in node.body if isinstance(part, ast.AnnAssign)]
-            names |= {target.id for target in targets if isinstance(target, ast.Name)}
-    return names
+        elif isinstance(node, ast.arg):
+            names.add(node.arg)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            names.add(node.id)
+    return {name.strip("_") for name in names}
 
 
 @pytest.mark.parametrize("path", [*checked(".py"), *checked(".md")], ids=named)
@@ -83,6 +84,6 @@ def test_texts_use_the_terms_of_the_field(path):
     assert private_words(path) == []
 
 
-@pytest.mark.parametrize("path", checked(".py"), ids=named)
+@pytest.mark.parametrize("path", [*checked(".py"), *sorted((ROOT / "tests").rglob("*.py"))], ids=named)
 def test_no_name_is_a_bare_participle(path):
-    assert not public_names(path) & PARTICIPLES
+    assert not names_of(path) & PARTICIPLES

@@ -50,8 +50,8 @@ def score_appearance(
     shares = [share for _, share in covered if share is not None]
     effects = effects._replace(appearances={})
     scores = {
-        "mesh": score_pictures(draw, scored_frames, color_behind_all(background, effects), found=effects),
-        "covered": score_images(gaussians, scored_frames, background, found=effects),
+        "mesh": score_pictures(draw, scored_frames, color_behind_all(background, effects), photo_effects=effects),
+        "covered": score_images(gaussians, scored_frames, background, photo_effects=effects),
     }
     named = {f"{of}_{name}": value for of, each in scores.items() for name, value in each.items() if name != "views"}
     return named | {"mesh_covers": float(np.mean(shares)) if shares else None}

@@ -33,7 +33,7 @@ def score_images(
     background: str,
     *,
     measures: Mapping[str, Measure] = MappingProxyType({}),
-    found: PhotoEffects = NOTHING,
+    photo_effects: PhotoEffects = NOTHING,
     align: Aligner | None = None,
     depth_mode: DepthReading = "plane",
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
@@ -45,24 +45,26 @@ def score_images(
     Args:
         gaussians: The scene.
         frames: Photos that it was not trained on.
-        background: Colour behind it, where `found` has none that was learned.
+        background: Colour behind it, where `photo_effects` has none that was learned.
         measures: Further ones by name. They see pictures in 0..1, both black where a pixel is not valid.
-        found: What the photos' cameras did to the light, and what is behind all, where training took that in.
+        photo_effects: What the photos' cameras did to the light, and what is behind all, where training took that in.
         align: Finds the pose that a photo was taken from; None: given poses are all that is scored.
         depth_mode: Of the pictures' depth, which no score reads.
         observe: Called with every frame, the photo `[H, W, 3]` that it is compared with, and its picture.
 
     Returns:
         `views`, and `psnr`, `ssim` and `measures` of the render as it is, with the exposure of the mean photo. With
-        `found.near_appearances` also `psnr_near_gains`, `ssim_near_gains`: with the learned fall-off and the gains of
-        the photos taken near this one; they use nothing of the photo itself. With `found.appearances` also
-        `psnr_track_gains`, `ssim_track_gains`: with the gains of the photo's own tracks; and `psnr_fitted`,
+        `photo_effects.near_appearances` also `psnr_near_gains`, `ssim_near_gains`: with the learned fall-off and the
+        gains of the photos taken near this one; they use nothing of the photo itself. With `photo_effects.appearances`
+        also `psnr_track_gains`, `ssim_track_gains`: with the gains of the photo's own tracks; and `psnr_fitted`,
         `ssim_fitted`: after the affine colour map that fits the photo best, which uses the photo. With `align` each of
         them also with `_aligned`: from the pose that fits the photo best, which uses the photo too.
     """
-    color = color_behind_all(background, found)
+    color = color_behind_all(background, photo_effects)
     draw = partial(gallery.pictures, jax.tree.map(jnp.asarray, gaussians), background=color, depth_mode=depth_mode)
-    return score_pictures(draw, frames, color, measures=measures, found=found, align=align, observe=observe)
+    return score_pictures(
+        draw, frames, color, measures=measures, photo_effects=photo_effects, align=align, observe=observe
+    )
 
 
 def color_behind_all(background: str, effects: PhotoEffects) -> np.ndarray:
@@ -76,7 +78,7 @@ def score_pictures(
     color: np.ndarray,
     *,
     measures: Mapping[str, Measure] = MappingProxyType({}),
-    found: PhotoEffects = NOTHING,
+    photo_effects: PhotoEffects = NOTHING,
     align: Aligner | None = None,
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
 ) -> dict[str, Any]:
@@ -87,12 +89,12 @@ def score_pictures(
         frames: As of `score_images`.
         color: `[3]`, or as `gsjax.rendering.backdrop` takes it, what `draw` has behind all.
         measures: As of `score_images`.
-        found: As of `score_images`.
+        photo_effects: As of `score_images`.
         align: As of `score_images`.
         observe: As of `score_images`.
     """
-    lights = {"_near_gains": found.near_appearances, "_track_gains": found.appearances}
-    ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if found.appearances else ()))
+    lights = {"_near_gains": photo_effects.near_appearances, "_track_gains": photo_effects.appearances}
+    ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if photo_effects.appearances else ()))
     poses = ("", "_aligned") if align else ("",)
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     scores, masked = [], []
@@ -121,7 +123,7 @@ def score_pictures(
                 "": each.colors,
                 **{way: photograph(each).colors for way, photograph in lit.items() if way in ways},
             }
-            if found.appearances:
+            if photo_effects.appearances:
                 of_way["_fitted"] = np.clip(fit_colors(each.colors, target, valid), 0, 1)
             renders += [of_way[way] for way in ways]
         pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]

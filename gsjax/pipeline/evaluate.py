@@ -82,14 +82,14 @@ def evaluate(
         scene.held_out_frames,
         background,
         measures=measures,
-        found=effects.with_near_appearances(scene.frames),
+        photo_effects=effects.with_near_appearances(scene.frames),
         align=aligned_camera if aligned or effects.moves else None,
         depth_mode=result.depth_mode,  # as the surface is read: one program draws both
     )
     figures.setdefault(STANDARD, None)
     for zoom, frames in zoomed.items():
         plain = PhotoEffects(background=effects.background)
-        scores = score_images(result.gaussians, frames, background, found=plain)
+        scores = score_images(result.gaussians, frames, background, photo_effects=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     if local_mesh is not None:
         textured = read_textured(mesh)

@@ -239,7 +239,7 @@ def _write(run: Path, prepared: Prepared, planned: _Planned, trained: _Trained) 
         state.gaussians,
         scene.held_out_frames,
         planned.plan.background,
-        found=photo_effects.with_near_appearances(scene.frames),
+        photo_effects=photo_effects.with_near_appearances(scene.frames),
         align=align if photo_effects.moves else None,
         depth_mode=planned.plan.depth_mode,
         observe=picture_keeper(run),

@@ -79,7 +79,7 @@ class TrainingJournal(Journal):
             appearances={}
         )  # the other scores come at the end
         scores = score_images(
-            state.gaussians, frames, planned.background, found=photo_effects, depth_mode=planned.depth_mode
+            state.gaussians, frames, planned.background, photo_effects=photo_effects, depth_mode=planned.depth_mode
         )
         return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
 

@@ -166,7 +166,9 @@ def _render(run: RunFacts, names: set[str]) -> None:
     frames = tuple(frame for frame in scene.held_out_frames if frame.name in names)
     background, keep = run.settings["model"]["background"], view_pictures.picture_keeper(run.folder)
     effects = PhotoEffects(background=read_photo_effects(run.folder).background)
-    score_images(result.gaussians, frames, background, found=effects, depth_mode=result.depth_mode, observe=keep)
+    score_images(
+        result.gaussians, frames, background, photo_effects=effects, depth_mode=result.depth_mode, observe=keep
+    )
 
 
 def _overview(file: Path) -> bytes | None:

@@ -47,7 +47,7 @@ class Progress(NamedTuple):
     phase_done: bool  # this was the last step of its phase
 
 
-_kept = lru_cache(maxsize=32)(make_train_step)
+_shared_train_step = lru_cache(maxsize=32)(make_train_step)
 
 
 def kept_step(optimizer: Optimizer, terms: tuple[Weighed, ...], *, effects: Effects, **how: Any) -> TrainStep:
@@ -56,7 +56,11 @@ def kept_step(optimizer: Optimizer, terms: tuple[Weighed, ...], *, effects: Effe
     A term whose function is another is another argument. Effects bring numbers of their run, so that steps with them
     are made anew.
     """
-    return make_train_step(optimizer, terms, effects=effects, **how) if effects else _kept(optimizer, terms, **how)
+    return (
+        make_train_step(optimizer, terms, effects=effects, **how)
+        if effects
+        else _shared_train_step(optimizer, terms, **how)
+    )
 
 
 @dataclass(frozen=True)

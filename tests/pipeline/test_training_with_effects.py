@@ -51,11 +51,11 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     photo_effects, frames = read_photo_effects(whole), scene_of_run(whole).held_out_frames
     gaussians = open_result(whole).gaussians
     same = score_images(
-        gaussians, frames, "white", found=photo_effects._replace(near_appearances=photo_effects.appearances)
+        gaussians, frames, "white", photo_effects=photo_effects._replace(near_appearances=photo_effects.appearances)
     )
     assert same["psnr_near_gains"] == same["psnr_track_gains"] == pytest.approx(summary["psnr_track_gains"], abs=1e-3)
     near = photo_effects.with_near_appearances(scene_of_run(whole).frames)
-    assert score_images(gaussians, frames, "white", found=near)["psnr_near_gains"] == pytest.approx(
+    assert score_images(gaussians, frames, "white", photo_effects=near)["psnr_near_gains"] == pytest.approx(
         summary["psnr_near_gains"], abs=1e-3
     )
     assert summary["psnr_near_gains"] != summary["psnr_track_gains"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from photographed_wall import FOCAL, wall, written
+from photographed_wall import FOCAL, wall, write_wall
 from small_scenes import camera_at, plane
 from tolerances import assert_close
 
@@ -35,7 +35,7 @@ TRUE = 40 * 3 / FOCAL  # of the wall, which is 3 away
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     """The wall on disk; its tracks, which its files do not keep, in memory."""
-    root = written(WALL, tmp_path / "scene")
+    root = write_wall(WALL, tmp_path / "scene")
     monkeypatch.setattr(scaling, "load_scene", lambda source: replace(WALL, root=root))
     return root
 

@@ -64,13 +64,13 @@ def test_the_better_way_gains_and_the_same_way_gains_nothing(scene):
 @pytest.mark.usefixtures("short")
 def test_trials_of_one_way_share_their_programs(monkeypatch, scene):
     """All that a program is kept by (`gsjax.training.loop.kept_step`) is the same, but for the pairs' buffer."""
-    original, calls = loop._kept, []
+    original, calls = loop._shared_train_step, []
 
     def noted(*arguments, capacity, **how):
         calls.append((arguments, tuple(how.items())))
         return original(*arguments, capacity=capacity, **how)
 
-    monkeypatch.setattr(loop, "_kept", noted)
+    monkeypatch.setattr(loop, "_shared_train_step", noted)
     gain(scene, SETTINGS, forgetful)
     assert len(calls) >= 2 * FEWEST_FOLDS
     assert len(set(calls)) == 2

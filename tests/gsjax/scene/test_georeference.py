@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from photographed_wall import wall, written
+from photographed_wall import wall, write_wall
 from scipy.spatial.transform import Rotation
 from tolerances import assert_close
 
@@ -86,7 +86,7 @@ def test_meshes_state_their_place(tmp_path, name):
 
 
 def test_a_data_set_is_loaded_in_its_world(tmp_path):
-    root = written(wall(4, num_points=30), tmp_path)
+    root = write_wall(wall(4, num_points=30), tmp_path)
     plain = load_scene(root)
     write_place(root, PLACE)
     placed = load_scene(root)

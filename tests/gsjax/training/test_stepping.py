@@ -33,7 +33,7 @@ class Toy:
     """A state that remembers which photos it saw, in which order."""
 
     step: jax.Array
-    seen: jax.Array
+    memory: jax.Array
 
 
 def toy_steps(data, capacity, **how):
@@ -46,7 +46,7 @@ def toy_steps(data, capacity, **how):
             return jax.random.uniform(key) + target.camera.viewmat[0, 3], Outcome(metrics, metrics.overflowed)
 
         def update(state, gradient, outcome, skipped):
-            return unless(skipped, state, Toy(state.step + 1, state.seen * 0.9 + gradient))
+            return unless(skipped, state, Toy(state.step + 1, state.memory * 0.9 + gradient))
 
         step = guarded_step(differentiate, update, BACKGROUNDS["white"])
         return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))
@@ -56,13 +56,13 @@ def toy_steps(data, capacity, **how):
     def after(step, state, metrics, capacity):
         records.append((step, capacity, int(metrics.needed)))
         if how.get("looks", lambda step: True)(step):
-            values[step] = float(state.seen)
+            values[step] = float(state.memory)
         return state
 
     state = Toy(jnp.int32(40), jnp.float32(0))
     end, length = stepping.advance(compiled, after, state, data, (0, 9), seed=1, capacity=capacity, **how)
     assert length == records[-1][1]
-    return float(end.seen), int(end.step), records, values
+    return float(end.memory), int(end.step), records, values
 
 
 def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
@@ -134,17 +134,17 @@ def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_af
             return gradient, Outcome(Metrics(color[0], color[0], 32, False, {}), jnp.bool_(False))
 
         def update(state, gradient, outcome, skipped):
-            return unless(skipped, state, Toy(state.step + 1, state.seen + gradient))
+            return unless(skipped, state, Toy(state.step + 1, state.memory + gradient))
 
         step = guarded_step(differentiate, update, BACKGROUNDS["white"])
         return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))
 
     def after(step, state, metrics, capacity):
-        records.append((step, bool(np.isfinite(state.seen))))
+        records.append((step, bool(np.isfinite(state.memory))))
         return state
 
     def explain(step, state, target, capacity):
-        explanations.append((step, int(state.step), float(state.seen), float(target.camera.viewmat[0, 3])))
+        explanations.append((step, int(state.step), float(state.memory), float(target.camera.viewmat[0, 3])))
         return "the fault"
 
     state = Toy(jnp.int32(40), jnp.float32(0))
