@@ -26,8 +26,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds what becomes of every notebook: the page, its pictures, and the notebook itself for those who want it."""
     sources = sorted(Path(config.docs_dir, FOLDER).glob("*.py"))
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # Each runs in a process of its own.
-        for files in pool.map(outcome, sources):
-            for name, content in files.items():
+        for contents in pool.map(outcome, sources):
+            for name, content in contents.items():
                 files.append(File.generated(config, f"{FOLDER}/{name}", content=content))
     return files
 
