@@ -3,7 +3,7 @@
 Each preset shortens the phases of the paper and moves their boundaries in proportion.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from gsjax import config
@@ -160,6 +160,12 @@ def table(name: str, *, with_maps: bool) -> dict[str, Any]:
     return FAST_WITH_MAPS if with_maps and name == "fast" else PRESETS[name]
 
 
+def settings_of(name: str, parse: Callable[[Mapping[str, Any]], Settings]) -> Settings:
+    """The settings that a function makes of a preset's table. Normal maps among them change weights, see `table`."""
+    settings = parse(PRESETS[name])
+    return settings if settings.supervision.normals is None else parse(table(name, with_maps=True))
+
+
 def preset(name: str, differences: Mapping[str, Any] | None = None) -> Settings:
     """The settings of a preset, with differences from it. Normal maps among them change weights, see `table`.
 
@@ -172,8 +178,8 @@ def preset(name: str, differences: Mapping[str, Any] | None = None) -> Settings:
     """
     if name not in PRESETS:
         raise InputError(f"preset {name!r} is none of {', '.join(PRESETS)}")
-    changes = differences or {}
-    settings = config.parse(Settings, config.merge(PRESETS[name], changes), where=f"preset {name}")
-    if settings.supervision.normals is None:
-        return settings
-    return config.parse(Settings, config.merge(table(name, with_maps=True), changes), where=f"preset {name}")
+
+    def parse(base: Mapping[str, Any]) -> Settings:
+        return config.parse(Settings, config.merge(base, differences or {}), where=f"preset {name}")
+
+    return settings_of(name, parse)

@@ -13,7 +13,7 @@ from gsjax.cli import environment
 from gsjax.cli.parsers import About, add_moved_scene, finite, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
-from gsjax.presets import LENGTHS, PRESETS, table
+from gsjax.presets import LENGTHS, PRESETS, settings_of, table
 from gsjax.settings import Settings
 
 OPTIONS = {
@@ -236,10 +236,7 @@ def add_training(parser: argparse.ArgumentParser, length: str) -> None:
 
 def training(preset: str, **options: Any) -> Settings:
     """The settings of a preset, with the options of `TRAINING`; normal maps change weights (`gsjax.presets.table`)."""
-    settings = override_settings(PRESETS[preset], **options)
-    if settings.supervision.normals is None:
-        return settings
-    return override_settings(table(preset, with_maps=True), **options)
+    return settings_of(preset, partial(override_settings, **options))
 
 
 def override_settings(base: Mapping[str, Any], assignments: Sequence[str] = (), **options: Any) -> Settings:

@@ -106,6 +106,7 @@ class NormalSource:
             return read
 
         def notify(line: str) -> None:
+            line += "; rejected photos take stereo normals" if self.stereo else ""
             share = float(np.mean(self.shares_compared(frames)))
             self.notify(line if share == 1 else f"{line}; {share:.0%} of the comparisons of neighbours are made")
 

@@ -185,8 +185,10 @@ def test_of_photos_whose_given_maps_are_rejected_stereo_normals_serve(tilted, fo
     half = np.zeros((16, 20, 3), np.int8)
     half[:, 10:] = [0, 0, -127]
     stereo = dict.fromkeys((FRAMES[0].name, FRAMES[1].name), half)
-    map_folder = foreign((1, 0, 0), (1, 1, 1))
-    maps = NormalSource(tmp_path / "run", map_folder, "+x+y+z", FRAMES, gated=True, stereo=stereo)(tilted, FRAMES)
+    map_folder, lines = foreign((1, 0, 0), (1, 1, 1)), []
+    how = {"gated": True, "stereo": stereo, "notify": lines.append}
+    maps = NormalSource(tmp_path / "run", map_folder, "+x+y+z", FRAMES, **how)(tilted, FRAMES)
+    assert lines == ["no normal has weight; rejected photos take stereo normals"]
     np.testing.assert_array_equal(maps[0], half.repeat(2, axis=0).repeat(2, axis=1))
     for each in maps[1:]:
         assert (each == np.int8([127, 0, 0])).all()
