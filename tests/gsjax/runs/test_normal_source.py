@@ -179,6 +179,7 @@ def test_stereo_normals_serve_where_no_maps_are_given_and_are_not_filtered(tilte
 
 def test_of_photos_whose_given_maps_are_rejected_stereo_normals_serve(tilted, foreign, tmp_path, monkeypatch):
     def reject_first(folder, gaussians, frames, maps, depth_mode, *, keep, notify):
+        notify("no normal has weight")
         return [np.zeros_like(maps[0]), *maps[1:]]
 
     monkeypatch.setattr(normal_source, "filter_normals", reject_first)
