@@ -35,6 +35,7 @@ class Scene:
 BACKENDS = ("reference", *(["native"] if jax.default_backend() == "cpu" else []), "xla", "pallas")
 OWN = "native" if "native" in BACKENDS else "pallas"  # the backend that this device takes by itself
 GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "colors")
+FIELDS = (*GAUSSIAN_FIELDS, "viewmats", "Ks", "backgrounds")
 
 
 def camera_at(x=0.0, y=0.0, z=0.0, yaw=0.0):
@@ -249,7 +250,7 @@ def textbook(scene):
 def relative_errors(actual, expected):
     """Relative L2 error per field, in float64."""
     errors = {}
-    for name in (*GAUSSIAN_FIELDS, "viewmats", "Ks", "backgrounds"):
+    for name in FIELDS:
         a, e = (np.asarray(getattr(x, name), np.float64) for x in (actual, expected))
         errors[name] = np.linalg.norm(a - e) / max(np.linalg.norm(e), 1e-12)
     return errors

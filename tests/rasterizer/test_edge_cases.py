@@ -1,8 +1,8 @@
-"""The catalogue of hard cases: one odd Gaussian among 39 ordinary ones, or an odd camera, in value and gradient.
+"""The hard cases of `hard_scenes.py` in value and gradient.
 
-All cases share one shape, so that each backend compiles once. The bar is never "no NaN" alone: what cannot show must
-leave every bit of the rest as if it were absent, and what can show must agree with float64. What is measured on the way
-is the table of experiments/results/hard_cases.md, which docs/hard_cases.md summarizes:
+The bar is never "no NaN" alone: what cannot show must leave every bit of the rest as if it were absent, and what can
+show must agree with float64. What is measured on the way is the table of experiments/results/hard_cases.md, which
+docs/hard_cases.md summarizes:
 
     python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases experiments/results/hard_cases.md
 
@@ -15,6 +15,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hard_scenes import (
+    ANTIALIASED,
+    FOCAL_LENGTHS,
+    HIDDEN,
+    ORDINARY,
+    OTHER_MODELS,
+    PILES,
+    SHOWN,
+    SHOWN_BY_OTHER_MODELS,
+    antialiased,
+    coincident_depths,
+    focal_length,
+    forty_copies,
+    odd,
+    one_pixel,
+    pile,
+)
 from scenes import (
     BACKENDS,
     GAUSSIAN_FIELDS,
@@ -24,108 +41,19 @@ from scenes import (
     evaluate_in_front,
     in_float64,
     relative_errors,
-    single,
     stacks,
-    with_odd_one,
 )
 
 pytestmark = pytest.mark.device
-NAN, INF = float("nan"), float("inf")
-ORDINARY = {
-    "means": (0.1, -0.1, 2.0),
-    "quats": (0.8, 0.2, -0.5, 0.3),
-    "scales": (0.2, 0.1, 0.15),
-    "opacities": 0.7,
-    "colors": (0.9, 0.5, 0.1),
-}
-
-# name -> fields of the odd Gaussian. It must not show, nor disturb anything.
-HIDDEN = {
-    "behind": {"means": (0.1, 0.1, -2.0)},
-    "at the eye": {"means": (0.0, 0.0, 0.0)},
-    "on the camera plane, beside": {"means": (3.0, -1.0, 0.0)},
-    "just behind the plane": {"means": (0.0, 0.0, -1e-7)},
-    "between eye and near plane": {"means": (0.0, 0.0, 0.005)},
-    "beyond the far plane": {"means": (0.0, 0.0, 1e11), "scales": (1e10,) * 3},
-    "far beside, grazing": {"means": (1e6, 1e6, 0.02)},
-    "outside float32 when squared": {"means": (1e25, -1e25, 1.0)},
-    "outside float32 when projected": {"means": (3e38, 3e38, 0.011)},
-    "opacity 0": {"opacities": 0.0},
-    "opacity under the cut": {"opacities": 0.0039},
-    "opacity denormal": {"opacities": 1e-40},
-    "scale outside float32 when squared": {"scales": (1e25, 0.1, 0.1)},
-    **{
-        f"{field} {bad}": {field: (bad, *ORDINARY[field][1:]) if field != "opacities" else bad}
-        for field in GAUSSIAN_FIELDS
-        for bad in (NAN, INF, -INF)
-    },
-    "all NaN": {field: np.full_like(ORDINARY[field], NAN) for field in GAUSSIAN_FIELDS},
-}
-del HIDDEN["opacities inf"]
-
-# name -> fields of the odd Gaussian. It must show as in float64.
-SHOWN = {
-    "ordinary": {},
-    "zero quaternion": {"quats": (0.0, 0, 0, 0)},
-    "denormal quaternion": {"quats": (1e-40, 1e-41, 0, 0)},
-    "short quaternion": {"quats": (8e-10, 2e-10, -5e-10, 3e-10)},
-    "long quaternion": {"quats": (8e19, 2e19, -5e19, 3e19)},
-    "one flat axis": {"scales": (0.2, 0.0, 0.15)},
-    "two flat axes": {"scales": (0.2, 0.0, 0.0)},
-    "a point": {"scales": (0.0, 0.0, 0.0)},
-    "denormal scales": {"scales": (1e-40, 1e-42, 1e-39)},
-    "needle 1e6": {"scales": (1.0, 1e-6, 1e-6)},
-    "needle 1e-6": {"scales": (1e-6, 1.0, 1.0)},
-    "huge": {"scales": (1e3, 1e3, 1e3)},
-    "as large as float32 allows": {"scales": (1e8, 1e8, 1e8)},
-    "long needle 1e6": {"scales": (1e5, 0.1, 0.1)},
-    "long needle 1e6, along x": {"scales": (1e5, 0.1, 0.1), "quats": (1.0, 0, 0, 0)},
-    "opacity 1": {"opacities": 1.0},
-    "denormal mean": {"means": (1e-40, -1e-42, 2.0)},
-    "just past the near plane": {"means": (0.001, 0.001, 0.0101), "scales": (1e-4, 1e-4, 1e-4)},
-    "far away": {"means": (0.0, 0.0, 1e6), "scales": (1e5, 1e5, 1e5)},
-    "coincident with another": {"means": None},
-    "huge colour": {"colors": (1e6, -1e6, 0.0)},
-    "disc edge-on": {"means": (0.0, 0.0, 2.0), "quats": (1.0, 0, 1.0, 0), "scales": (0.2, 0.2, 1e-6)},
-    "needle along the ray": {"means": (0.0, 0.0, 2.0), "quats": (1.0, 0, 0, 0), "scales": (1e-6, 1e-6, 1.0)},
-    "needle past the eye": {"quats": (0.95, 0.2, -0.2, 0.1), "scales": (0.1, 0.1, 1e3)},
-    "ground at a grazing angle": {"means": (0.0, 0.3, 1.0), "quats": (1.0, 0, 0, 0), "scales": (3.0, 1e-3, 3.0)},
-    "at the image border": {"means": (1.2, -0.1, 2.0)},
-    "mean far outside the image": {"means": (60.0, -20.0, 2.0), "scales": (40.0, 0.3, 30.0)},
-}
 FEW = "native", "pallas"  # backends: the CPU's own, and the kernels that no other test of a CPU runs
 BY_NIGHT = [each if each == OWN else pytest.param(each, marks=pytest.mark.long) for each in BACKENDS]
-# Other camera models. Blending knows of none: one engine shows it, the others by night.
-OTHER_MODELS = {
-    "fisheye": {"camera_model": "fisheye", "radial_coeffs": np.array([[0.05, -0.02, 0.01, -0.003]])},
-    "ortho": {"camera_model": "ortho"},
-}
 IN_WHICH = [
     pytest.param(model, backend, marks=[] if (model, backend) == ("fisheye", OWN) else [pytest.mark.long])
     for model in OTHER_MODELS
     for backend in BACKENDS
 ]
-SEEN_OTHERWISE = {
-    **{
-        name: SHOWN[name]
-        for name in (
-            "ordinary", "a point", "needle 1e6", "huge", "denormal mean", "just past the near plane",
-            "needle along the ray", "needle past the eye", "at the image border", "mean far outside the image",
-        )
-    },
-    "on the axis": {"means": (0.0, 0.0, 2.0)},
-    "next to the camera": {"means": (0.5, 0.1, 0.02), "scales": (0.3, 0.3, 0.3)},
-}  # fmt: skip
 # Planes of depth, of every Gaussian: one channel, over one.
 PLANES = {"render_mode": "D", "depth_mode": "plane"}
-
-
-def odd(fields):
-    scene = cloud()
-    fields = {**ORDINARY, **fields}
-    if fields["means"] is None:
-        fields["means"] = scene.means[7]
-    return with_odd_one(scene, **fields)
 
 
 def of_depth(scene):
@@ -219,10 +147,10 @@ def test_pixels_that_see_to_the_end_and_that_stop_early_agree_with_float64(name,
     agree_with_float64(name, scene, 3e-6, 2e-5, backends=["reference", "xla"])
 
 
-@pytest.mark.parametrize("name", SEEN_OTHERWISE)
+@pytest.mark.parametrize("name", SHOWN_BY_OTHER_MODELS)
 @pytest.mark.parametrize(("model", "backend"), IN_WHICH)
 def test_other_camera_models_agree_with_float64(model, backend, name, agree_with_float64):
-    scene, options = odd(SEEN_OTHERWISE[name]), OTHER_MODELS[model]
+    scene, options = odd(SHOWN_BY_OTHER_MODELS[name]), OTHER_MODELS[model]
     # In parallel the needle is not shortened by distance: 33 pixels a sigma. Measured 9e-6.
     bound = 3e-5 if (model, name) == ("ortho", "needle 1e6") else 1e-5
     agree_with_float64(f"{model}: {name}", scene, value_bound=bound, backends=[backend], **options)
@@ -253,26 +181,20 @@ def test_depth_in_front_agrees_with_float64(name, agree_with_float64, few):
     agree_with_float64("in front: " + name, of_depth(odd(SHOWN[name])), backends=few, evaluate=evaluate_in_front)
 
 
-@pytest.mark.parametrize("name", ["ordinary", "a point", "two flat axes", "needle 1e6", "huge", "far away"])
+@pytest.mark.parametrize("name", ANTIALIASED)
 def test_antialiased_agrees_with_float64(name, agree_with_float64, alone):
     # What has no area is dimmed to the floor of the compensation, without gradient, and all the rest by a root.
-    scene = odd({**SHOWN[name], "opacities": 0.9})
+    scene = antialiased(name)
     agree_with_float64("antialiased: " + name, scene, backends=alone, rasterize_mode="antialiased")
 
 
-@pytest.mark.parametrize("focal", [1e-2, 1e6])
+@pytest.mark.parametrize("focal", FOCAL_LENGTHS)
 def test_extreme_focal_lengths(focal, agree_with_float64):
-    scene = cloud()
-    K = scene.Ks.at[0, 0, 0].set(focal).at[0, 1, 1].set(1.5 * focal)
-    if focal > 1:
-        # On the axis, or nothing is left in the image.
-        scene = replace(scene, means=scene.means.at[:, :2].multiply(1e-6))
-    agree_with_float64(f"focal length {focal:g} px", replace(scene, Ks=K))
+    agree_with_float64(f"focal length {focal:g} px", focal_length(focal))
 
 
 def test_coincident_depths_blend_by_index(agree_with_float64):
-    scene = cloud()
-    flat = replace(scene, means=scene.means.at[:, 2].set(2.5))
+    flat = coincident_depths()
     agree_with_float64("all depths coincide", flat)
     image = evaluate(flat, "xla")[0]
     swapped = jax.tree.map(lambda x: x[::-1] if x.shape[0] == 40 else x, flat)
@@ -280,39 +202,26 @@ def test_coincident_depths_blend_by_index(agree_with_float64):
 
 
 def test_forty_copies_of_one_gaussian(agree_with_float64):
-    scene = cloud()
-    copies = odd({"opacities": 0.03})
-    copies = replace(copies, **{f: jnp.repeat(getattr(copies, f)[-1:], 40, 0) for f in GAUSSIAN_FIELDS})
+    copies = forty_copies()
     agree_with_float64("forty copies of one", copies)
-    gradient = evaluate(copies, "xla")[3]
-    assert scene.means.shape == gradient.means.shape
     # One colour for all: whichever lies in front, a pixel sees 1 - (1 - alpha)^40 of it.
     image, alphas = evaluate(replace(copies, backgrounds=jnp.zeros((1, 3))), "xla")[:2]
     np.testing.assert_allclose(image, np.asarray(alphas) * np.array(ORDINARY["colors"]), atol=1e-6)
 
 
 def test_an_image_of_one_pixel(agree_with_float64, alone):
-    agree_with_float64("one pixel", cloud(20, size=(1, 1), channels=1), backends=alone)
+    agree_with_float64("one pixel", one_pixel(), backends=alone)
 
 
-@pytest.mark.parametrize("opacity", [0.005, 0.9])
+@pytest.mark.parametrize("opacity", PILES)
 def test_thousands_stacked_on_one_pixel(opacity, agree_with_float64, alone):
-    count, rng = 3000, np.random.default_rng(0)
-    pile = single(size=5, scale=(0.1, 0.2, 0.05), quat=(0.9, 0.3, -0.4, 0.2))
-    pile = replace(pile, **{f: jnp.repeat(getattr(pile, f), count, 0) for f in GAUSSIAN_FIELDS})
-    pile = replace(
-        pile,
-        means=pile.means + jnp.asarray(rng.normal(size=(count, 3)) * [1e-3, 1e-3, 1e-2], jnp.float32),
-        colors=jnp.asarray(rng.uniform(size=(count, 2)), jnp.float32),
-        opacities=jnp.full(count, opacity, jnp.float32),
-    )
-    name = f"3000 on one pixel, opacity {opacity}"
+    name, scene = f"3000 on one pixel, opacity {opacity}", pile(opacity)
     for backend in alone:
         # The faint ones show in one pixel, 0.01 px from their means: the xla engine sums second moments about the
         # tile's centre, 1.5 px away, and loses the square of that ratio. Measured 2e-3.
         bound = 5e-3 if backend == "xla" else 1e-4
-        agree_with_float64(name, pile, gradient_bound=bound, backends=[backend], capacity=4096)
-    _, alphas, _, gradient = evaluate(pile, OWN, capacity=4096)
+        agree_with_float64(name, scene, gradient_bound=bound, backends=[backend], capacity=4096)
+    _, alphas, _, gradient = evaluate(scene, OWN, capacity=4096)
     assert np.max(alphas) > 0.999
     if opacity == 0.9:
         # Pixels stop after a few: most splats get exactly nothing.
