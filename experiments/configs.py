@@ -100,5 +100,3 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "logging": {"metrics_every": 10, "evaluate_every": 0, "checkpoint_every": 20},
     },
 }
-WITH_TRUE_NORMALS = {"demo", "built_in", "bunny_plane"}
-"""Configs of data sets that have true normals, in SCENE/normals."""

@@ -1,6 +1,6 @@
 """How far is a mesh of bare photos from what a depth sensor measured?
 
-    python experiments/room.py RUN_OR_MESH ... [--room DIR] [--json FILE] [--place FILE]
+    python experiments/room.py RUN_OR_MESH ... [--room DIR] [--place FILE]
 
 RUN is the folder of `gsjax scan` (both its meshes are scored), or that of a run with a `mesh.ply`; a mesh file lies in
 the folder of its run, whose `cameras.json` says from where the photos were taken. DIR (default: ../shared/data/room)
@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
-from gsjax.report.tables import align_columns
+from gsjax.report import tables
 from gsjax.scene.meshes import Mesh
 
 CENTIMETRES = (3, 5, 10)
@@ -212,17 +212,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="+", metavar="RUN_OR_MESH")
     parser.add_argument("--room", metavar="DIR", default=str(Path(__file__).parents[2] / "shared/data/room"))
-    parser.add_argument("--json", metavar="FILE", help="also write the figures here")
     parser.add_argument("--place", metavar="FILE", help="also write the truth where the first mesh lies")
     arguments = parser.parse_args()
-    figures = run(arguments.meshes, arguments.room, arguments.place)
-    heads = list(next(iter(figures.values())))
-    rows = [[name, *(f"{one[head]:.3f}" for head in heads)] for name, one in figures.items()]
-    print(align_columns([["mesh", *heads], *rows], range(1, len(heads) + 1)))
-    if arguments.json:
-        from gsjax.io import json_files
-
-        json_files.write(arguments.json, figures)
+    print(tables.compare(run(arguments.meshes, arguments.room, arguments.place)))
 
 
 if __name__ == "__main__":

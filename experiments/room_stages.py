@@ -1,7 +1,7 @@
 """Where between training and mesh are depth and normals of a room lost? Per pixel, against a depth sensor's surface.
 
     python experiments/room.py RUN --place truth.ply            # the sensor's mesh in the run's coordinates
-    python experiments/room_stages.py truth.ply RUN [MESH ...] [--json FILE]
+    python experiments/room_stages.py truth.ply RUN [MESH ...]
 
 Of every sixth photo, a row for each stage: the normal maps that supervised the run, the gradient of the signed distance
 composited and at pixels' own surface points, the rendered depth with smoothed normals, and each mesh. Columns: mean and
@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax.cli import run_guarded
-from gsjax.report.tables import align_columns
+from gsjax.report import tables
 
 EVERY, FIRST = 6, 3  # of the photos
 CLOSE = 0.02  # share of the depth
@@ -122,15 +122,8 @@ def main() -> None:
     parser.add_argument("truth", metavar="TRUTH", help="the sensor's mesh in the run's coordinates")
     parser.add_argument("run", metavar="RUN")
     parser.add_argument("meshes", nargs="*", metavar="MESH")
-    parser.add_argument("--json", metavar="FILE", help="also write the figures here")
     arguments = parser.parse_args()
-    figures = run(arguments.truth, arguments.run, arguments.meshes)
-    rows = [[name, *(f"{each[head]:.2f}" for head in HEADS)] for name, each in figures.items()]
-    print(align_columns([["stage", *HEADS], *rows], range(1, len(HEADS) + 1)))
-    if arguments.json:
-        from gsjax.io import json_files
-
-        json_files.write(arguments.json, figures)
+    print(tables.compare(run(arguments.truth, arguments.run, arguments.meshes)))
 
 
 if __name__ == "__main__":
