@@ -145,3 +145,42 @@ def summary(rows):
         parts = [f"{_pair([error])} | {_pair([-bound])}" for error, bound in worst]
         lines.append(f"| {family} | {' | '.join(parts)} | {'pass' if passes else 'fail'} |")
     return lines
+
+
+COMPARED = "native", "gsplat"
+COMPARED_BOUNDS = 1e-5, 1e-4
+COMPARISON_HEADER = "| Family | Cases |" + "".join(f" {side}: worst | Not finite | Above |" for side in COMPARED)
+
+
+def comparison(families):
+    """A line for each family, and one for all, of the errors that `experiments/hard_cases_gsplat.py` writes.
+
+    Of each side: the worst finite errors of value and gradient, the cases with an image and with a gradient that is not
+    finite, and the cases with a finite error that is not below its bound.
+    """
+    total = {"all": {f"{family}: {name}": case for family, cases in families.items() for name, case in cases.items()}}
+    lines = [COMPARISON_HEADER, "|---" * (2 + 3 * len(COMPARED)) + "|"]
+    for family, cases in (families | total).items():
+        cells = []
+        for side in COMPARED:
+            kinds = [*zip(*(case[side] for case in cases.values()), strict=True)]  # values, gradients
+            worst = _pair([max(error for error in kind if error is not None) for kind in kinds])
+            not_finite = ", ".join(str(kind.count(None)) for kind in kinds)
+            cells += [worst, not_finite, str(sum(_is_above(case[side]) for case in cases.values()))]
+        lines.append(f"| {family} | {len(cases)} | {' | '.join(cells)} |")
+    return lines
+
+
+def comparison_faults(families):
+    """A line for each case in which gsplat has an error above its bound, or a result that is not finite."""
+    return ["| Family | Case | Value | Gradient |", "|---|---|---|---|"] + [
+        f"| {family} | {name} | {' | '.join('not finite' if e is None else _pair([e]) for e in case['gsplat'])} |"
+        for family, cases in families.items()
+        for name, case in cases.items()
+        if None in case["gsplat"] or _is_above(case["gsplat"])
+    ]
+
+
+def _is_above(errors):
+    pairs = zip(errors, COMPARED_BOUNDS, strict=True)
+    return any(error is not None and error >= bound for error, bound in pairs)

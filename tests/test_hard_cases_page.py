@@ -1,11 +1,13 @@
 """What the hard cases measure is a page of results, which is read again, and which a page of the site summarizes."""
 
+import json
 from pathlib import Path
 
 import pytest
-from hard_cases_page import HardCases, read_rows, summary
+from hard_cases_page import HardCases, comparison, comparison_faults, read_rows, summary
 
 ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "experiments/results"
 
 
 @pytest.fixture
@@ -44,6 +46,41 @@ def test_a_case_of_no_family_is_named(measured):
 
 def test_the_page_of_the_site_has_the_summary_of_the_results():
     page = (ROOT / "docs/hard_cases.md").read_text()
-    rows = read_rows((ROOT / "experiments/results/hard_cases.md").read_text())
+    rows = read_rows((RESULTS / "hard_cases.md").read_text())
     assert rows
     assert not [line for line in summary(rows) if line not in page]
+
+
+def test_a_comparison_counts_what_is_not_finite_and_what_is_above_its_bound():
+    ours = {"native": [1e-6, 2e-6]}
+    families = {
+        "needles": {"short": ours | {"gsplat": [2e-6, 2e-4]}, "long": ours | {"gsplat": [1e-5, None]}},
+        "means": {"ordinary": ours | {"gsplat": [9e-6, 9e-5]}, "nan": ours | {"gsplat": [None, None]}},
+    }
+    assert comparison(families)[2:] == [
+        "| needles | 2 | 1e-06, 2e-06 | 0, 0 | 0 | 1e-05, 2e-04 | 0, 1 | 2 |",
+        "| means | 2 | 1e-06, 2e-06 | 0, 0 | 0 | 9e-06, 9e-05 | 1, 1 | 0 |",
+        "| all | 4 | 1e-06, 2e-06 | 0, 0 | 0 | 1e-05, 2e-04 | 1, 2 | 2 |",
+    ]
+    assert comparison_faults(families)[2:] == [
+        "| needles | short | 2e-06 | 2e-04 |",
+        "| needles | long | 1e-05 | not finite |",
+        "| means | nan | not finite | not finite |",
+    ]
+
+
+def test_both_pages_have_the_comparison_with_gsplat_that_was_measured():
+    families = json.loads((RESULTS / "hard_cases_gsplat.json").read_text())["families"]
+    page, results = (ROOT / "docs/hard_cases.md").read_text(), (RESULTS / "hard_cases_gsplat.md").read_text()
+    assert "\n".join(comparison(families)) in page
+    assert "\n".join([*comparison(families), ""]) in results
+    assert "\n".join([*comparison_faults(families), ""]) in results
+
+
+def test_the_comparison_has_every_case_that_renders_colours():
+    from hard_scenes import images_by_family
+
+    families = json.loads((RESULTS / "hard_cases_gsplat.json").read_text())["families"]
+    assert {family: [*cases] for family, cases in families.items()} == {
+        family: [*cases] for family, cases in images_by_family().items()
+    }

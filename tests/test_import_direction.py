@@ -10,6 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PEERS = ("gsplat", "torch", "lpips")
+HARD_CASES = ("hard_cases_page", "hard_scenes", "scenes")  # modules of the tests
 SCRIPTS = [path.stem for path in (ROOT / "experiments").rglob("*") if path.suffix == ".py" or path.is_dir()]
 
 
@@ -82,8 +83,10 @@ LAYERS = {
     "experiments": Layer(
         ("experiments",),
         ("rasterizer", *CORE, *FILES, "metrics of runs", "planning", "report", "pipeline", "viewer", "cli"),
-        # Among them peers to time ours against, and the scripts themselves: one imports another by its bare name.
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "pycolmap", "websockets", *PEERS, *SCRIPTS),
+        # Among them peers to time ours against, the cases to measure them on, and the scripts themselves: one imports
+        # another by its bare name.
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "pycolmap", "websockets")
+        + (*PEERS, *HARD_CASES, *SCRIPTS),
     ),
 }
 HEAVY = {"numba", "open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}

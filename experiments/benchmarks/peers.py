@@ -4,6 +4,8 @@
 * `gsplat`: the blending of gsplat's torch reference, `gsplat.cuda._torch_impl.accumulate`, with autograd. It makes no
   lists of who meets which pixel (its CUDA kernels do) and sums along rays by nerfacc, CUDA too. So the lists are made
   before the clock starts, and the sums are torch's: what is timed of it is less than what is timed of ours.
+
+`hard_cases_gsplat.py` renders with the same lists and sums.
 """
 
 import sys
@@ -81,13 +83,14 @@ def _gsplat() -> Peer:
         from gsplat.cuda import _torch_impl as reference
     except ImportError as error:
         raise InputError(f"gsplat: {error}: pip install gsplat torch") from None
-    sys.modules["nerfacc"] = _sums_along_rays(torch)  # gsplat imports it by name when it blends
+    sys.modules["nerfacc"] = sums_along_rays(torch)  # gsplat imports it by name when it blends
 
     def tasks(splats: Splats) -> tuple[Task, Task]:
         import numpy as np
 
         projection, grid = splats.projection, splats.grid
-        ids, pixels = (torch.tensor(each) for each in _met(splats, rasterizer.GSPLAT_1_5))
+        placed, listed = (projection.means2d[0], projection.conics[0], splats.opacities), splats.pairs
+        ids, pixels = map(torch.tensor, pixel_pairs(*placed, grid, listed.offsets, listed.splats))
         arrays = projection.means2d, projection.conics, splats.opacities[None], splats.colors[None]
         inputs = [torch.tensor(np.array(each), requires_grad=True) for each in arrays]
         only = torch.zeros_like(ids)
@@ -104,14 +107,19 @@ def _gsplat() -> Peer:
     return Peer(rasterizer.GSPLAT_1_5, tasks)
 
 
-def _met(splats: Splats, rules: Any) -> tuple[Any, Any]:
-    """`[M]` splats, and the pixels that draw them (counted row by row): pixel by pixel, front to back."""
+def pixel_pairs(means2d: Any, conics: Any, opacities: Any, grid: Any, offsets: Any, listed: Any):
+    """The pairs of a splat and a pixel that gsplat's kernel `rasterize_to_indices` lists, in float64.
+
+    `[N, 2]` means in pixels, `[N, 3]` conics, `[N]` opacities, the grid of one image, `[T + 1]` offsets of its tiles in
+    `[P]` listed splats -> `[M]` splats and `[M]` pixels, counted row by row: pixel by pixel, front to back.
+    """
     import numpy as np
 
-    projection, grid = splats.projection, splats.grid
-    means2d, conics = np.asarray(projection.means2d[0], np.float64), np.asarray(projection.conics[0], np.float64)
-    opacities, listed = np.asarray(splats.opacities, np.float64), np.asarray(splats.pairs.splats)
-    offsets = np.asarray(splats.pairs.offsets)
+    import rasterizer
+
+    rules = rasterizer.GSPLAT_1_5
+    means2d, conics, opacities = (np.asarray(each, np.float64) for each in (means2d, conics, opacities))
+    offsets, listed = np.asarray(offsets), np.asarray(listed)
     rows, columns = np.indices((grid.tile_size, grid.tile_size)).reshape(2, -1)
     per_tile = []
     for tile in range(grid.num_tiles):
@@ -121,8 +129,10 @@ def _met(splats: Splats, rules: Any) -> tuple[Any, Any]:
         inside = (across < grid.width) & (down < grid.height)
         away_x, away_y = across[inside, None] + 0.5 - means2d[ids, 0], down[inside, None] + 0.5 - means2d[ids, 1]
         a, b, c = conics[ids].T
-        alphas = opacities[ids] * np.exp(-0.5 * (a * away_x**2 + c * away_y**2) - b * away_x * away_y)
-        alphas = np.where(alphas < rules.alpha_min, 0, np.minimum(alphas, rules.alpha_max))
+        sigmas = 0.5 * (a * away_x**2 + c * away_y**2) + b * away_x * away_y
+        with np.errstate(over="ignore"):
+            alphas = np.fmin(opacities[ids] * np.exp(-sigmas), rules.alpha_max)  # CUDA's min: the other one of a NaN
+        alphas = np.where((sigmas < 0) | (alphas < rules.alpha_min), 0, alphas)
         is_drawn = (alphas > 0) & (np.cumprod(1 - alphas, -1) > rules.transmittance_min)
         pixel, place = np.nonzero(is_drawn)
         per_tile.append((ids[place], (down[inside] * grid.width + across[inside])[pixel]))
@@ -131,7 +141,7 @@ def _met(splats: Splats, rules: Any) -> tuple[Any, Any]:
     return ids[order], pixels[order]
 
 
-def _sums_along_rays(torch: Any) -> ModuleType:
+def sums_along_rays(torch: Any) -> ModuleType:
     """The two functions of nerfacc that gsplat's reference calls, for samples in the order of their rays."""
 
     def render_weight_from_alpha(alphas, *, ray_indices, n_rays):
