@@ -1,6 +1,6 @@
 """How stable is float32 on hard input? Errors and non-finite results of gsplat's torch code and of ours, by family.
 
-    PYTHONPATH=tests python experiments/hard_cases_gsplat.py OUT.json
+    python experiments/hard_cases_gsplat.py OUT.json
 
 Every case of `tests/hard_scenes.py` that renders colours is rendered and differentiated in float32 and compared with
 float64: gsplat with its own code in float64, ours with our reference. Writes the errors of all cases, and prints the
@@ -10,6 +10,7 @@ tables. Needs gsplat 1.5.3 and torch (`pip install gsplat torch`), and no GPU.
 import argparse
 import sys
 from importlib import metadata
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -82,6 +83,7 @@ def errors(results: Any, case: Any) -> list[float | None]:
 
 def main() -> None:
     """Measures all cases, writes them and prints the tables."""
+    sys.path.append(str(Path(__file__).parents[1] / "tests"))
     from hard_cases_page import comparison, comparison_faults
     from hard_scenes import images_by_family
 

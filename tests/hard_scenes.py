@@ -191,8 +191,8 @@ def images_by_family():
     others = {f"focal length {focal:g} px": focal_length(focal) for focal in FOCAL_LENGTHS} | {"one pixel": one_pixel()}
     groups = {"cameras: focal lengths of 0.01 and 1e6 px, one pixel": (others, {})}
     for model in OTHER_MODELS:
-        shown = {name: odd(fields) for name, fields in SHOWN_BY_OTHER_MODELS.items()}
-        groups[f"cameras: {model}"] = shown, {"camera_model": model}
+        visible = {name: odd(fields) for name, fields in SHOWN_BY_OTHER_MODELS.items()}
+        groups[f"cameras: {model}"] = visible, {"camera_model": model}
     groups["antialiased"] = {name: antialiased(name) for name in ANTIALIASED}, {"rasterize_mode": "antialiased"}
     return families | {
         family: {name: Case(scene, scene, options) for name, scene in group.items()}
