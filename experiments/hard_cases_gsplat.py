@@ -46,7 +46,7 @@ def gsplat_results(scene: Any, options: dict[str, Any], dtype: str) -> Results:
     grid = rasterizer.TileGrid(1, *size, TILE)
     _, isect_ids, listed = reference._isect_tiles(means2d, radii, depths, TILE, grid.tiles_x, grid.tiles_y)
     offsets = reference._isect_offset_encode(isect_ids, 1, grid.tiles_x, grid.tiles_y).flatten().tolist()
-    values = (each[0].detach() for each in (means2d, conics, opacities))
+    values = means2d[0].detach(), conics[0].detach(), opacities[0].detach()
     ids, pixels = map(torch.tensor, pixel_pairs(*values, grid, [*offsets, len(listed)], listed))
     blended = means2d, conics, opacities, s.colors[None], ids, pixels, torch.zeros_like(ids)
     image, alphas = reference.accumulate(*blended, *size)
