@@ -24,7 +24,6 @@ from gsjax.binding.refinement import Refinement
 from gsjax.gaussians import opacities
 from gsjax.meshing import level_set, poisson
 from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.metrics import images
 from gsjax.pipeline import training_journal
 from gsjax.presets import PRESETS, REFINED_BY
 from gsjax.runs.photo_effects import PhotoEffects
@@ -33,6 +32,7 @@ from gsjax.settings import MEANS_FINAL, Density, Rates, Settings
 from gsjax.training import initialize
 from gsjax.training.densification import gradient_driven
 from gsjax.training.optimizers import apply_gradients, make_optimizer
+from rasterizer import similarity
 
 
 class Constant(NamedTuple):
@@ -246,7 +246,7 @@ CONSTANTS = (
     Constant("ends of a splat, sigmas", (3.33, 2.16), "gsplat 1.6: sqrt(2 ln(255 opacity)), at most 3.33; 3DGS: 3",
              lambda: (drawn_sigmas(0.999), drawn_sigmas(0.04))),
     Constant("SSIM's window", (11, 1.5), "3DGS, loss_utils.py",
-             lambda: (2 * images._WINDOW_RADIUS + 1, images._WINDOW_SIGMA)),
+             lambda: (2 * similarity.WINDOW_RADIUS + 1, similarity.WINDOW_SIGMA)),
     Constant("3DGS at full length", [Budget(30_000, True, 0, 0, 0)], DGS,
              lambda: budgets(asked_training("3dgs_30k"))),
     # SuGaR

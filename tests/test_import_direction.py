@@ -30,7 +30,7 @@ LAYERS = {
     "native loops": Layer(("rasterizer._native",), ("rasterizer",), ("jax", "numpy", "numba", "llvmlite")),
     "rasterizer": Layer(("rasterizer",), ("native loops",), ("jax", "jaxtyping", "numpy")),
     "vocabulary": Layer(("gsjax",), ("rasterizer",), CORE_PACKAGES),
-    "metrics": Layer(("gsjax.metrics",), ("vocabulary",), CORE_PACKAGES),
+    "metrics": Layer(("gsjax.metrics",), ("rasterizer", "vocabulary"), CORE_PACKAGES),
     "normals": Layer(("gsjax.normals",), ("vocabulary",), CORE_PACKAGES),
     "analytic": Layer(("gsjax.analytic",), ("vocabulary", "metrics"), CORE_PACKAGES),
     "effects": Layer(("gsjax.effects",), ("vocabulary",), CORE_PACKAGES),

@@ -10,6 +10,7 @@ from jax import Array
 
 from rasterizer._native import lists as _lists
 from rasterizer._native import passes as _passes
+from rasterizer._native import similarity as _similarity
 from rasterizer._native import updates as _updates
 from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.tiles import GEOMETRY, MAX_SIDE
@@ -28,7 +29,8 @@ def _check_interface() -> None:
 
 
 _check_interface()
-for _handler in (_lists.lists, _passes.forward, _passes.backward, _updates.adam, _updates.all_finite):
+_OF_IMAGES = _similarity.ssim, _similarity.ssim_gradient
+for _handler in (_lists.lists, _passes.forward, _passes.backward, _updates.adam, _updates.all_finite, *_OF_IMAGES):
     jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
 
 
@@ -121,6 +123,20 @@ def adam(parameters: Array, gradients: Array, mu: Array, nu: Array, numbers: Arr
 def all_finite(*arrays: Array) -> Array:
     """`rasterizer.all_finite` of float32 arrays."""
     return _call("all_finite", jax.ShapeDtypeStruct((), bool), *arrays)
+
+
+def ssim(image: Array, target: Array, mask: Array) -> tuple[Array, Array]:
+    """`[]` sum of SSIM over the valid pixels and all channels, and `[3, H, W, C]` what `ssim_gradient` reads."""
+    height, width, channels = image.shape
+    tiles = -(-height // _similarity.TILE_ROWS) * -(-width // (_similarity.WIDTH // channels))
+    results = jax.ShapeDtypeStruct((tiles,), np.float32), jax.ShapeDtypeStruct((3, *image.shape), np.float32)
+    sums, slopes = _call("ssim", results, image, target, mask)
+    return jnp.sum(sums), slopes
+
+
+def ssim_gradient(image: Array, target: Array, mask: Array, slopes: Array, cotangent: Array) -> Array:
+    """`[H, W, C]` gradient of that sum to the image."""
+    return _call("ssim_gradient", jax.ShapeDtypeStruct(image.shape, np.float32), image, target, mask, slopes, cotangent)
 
 
 def _check_side(side: int) -> None:

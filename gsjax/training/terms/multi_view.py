@@ -14,13 +14,13 @@ from jax import Array
 
 from gsjax import rendering
 from gsjax.gaussians import Gaussians
-from gsjax.metrics.images import window_means
 from gsjax.numerics import masked_mean, safe_divide, times
 from gsjax.rendering import DepthReading, Neighbor, View, depth
 from gsjax.rendering.sampling import reads_within, sample_bilinear
 from gsjax.scene import cameras
 from gsjax.scene.batches import Batch, Batches
 from gsjax.scene.cameras import Camera
+from rasterizer.similarity import window_means
 
 NEAREST = 8  # views that a neighbour is drawn from (PGSR),
 WIDEST = 30.0  # degrees between their axes (PGSR),

@@ -6,9 +6,10 @@ from scipy.ndimage import correlate1d
 
 from gsjax.metrics import images as measures
 from gsjax.metrics.images import psnr
+from rasterizer import similarity
 
 # Compiled whole: op by op every shape would compile a dozen programs.
-ssim, ssim_map = jax.jit(measures.ssim), jax.jit(measures.ssim_map)
+ssim, ssim_map = jax.jit(measures.ssim), jax.jit(similarity.ssim_map)
 
 
 @pytest.fixture(scope="module")

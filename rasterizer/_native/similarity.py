@@ -1,0 +1,316 @@
+"""SSIM of two images and its gradient, as XLA calls them.
+
+A thread takes a tile of both images with the border that the window reaches. The tile's planes lie in the second cache:
+the images, the two products whose means SSIM needs, and which pixels are valid. Means are sums along columns, four rows
+at a time, then along rows. All loops over a plane have lengths that LLVM knows, and become loops over vectors.
+"""
+
+import numpy as np
+
+from rasterizer._native.blending import ONE, ZERO
+from rasterizer._native.calls import (
+    HANDLER,
+    TASK,
+    argument,
+    data,
+    item_after,
+    job_of,
+    length,
+    let_go,
+    next_item,
+    no_memory,
+    only_introduces,
+    result,
+    set_word,
+    share,
+    word,
+)
+from rasterizer._native.compiled import entry_point, inlined
+from rasterizer._native.instructions import (
+    address_of,
+    as_bytes,
+    as_floats,
+    define,
+    floats_at,
+    floats_on_stack,
+    words_on_stack,
+)
+
+MAX_IMAGE_CHANNELS, RADIUS = 3, 5  # channels of an image, pixels that the window reaches
+TILE_ROWS, WIDTH = 32, 192  # rows of a tile and numbers of a row, without the border
+FOUR = 4  # rows that are summed at a time: 14 rows are read once, not 44
+HELD_ROWS, HELD_WIDTH = TILE_ROWS + 2 * RADIUS, WIDTH + 32  # with the border, a row in whole vectors
+PLANE, FOUR_ROWS = HELD_ROWS * HELD_WIDTH, FOUR * HELD_WIDTH
+# Planes of a tile: the images, the sum of their squares, their product, and 1 where a pixel is valid. On the way back:
+# three slopes, and 1 where a pixel is valid.
+_IMAGE, _TARGET, _SQUARES, _PRODUCT, _VALID = (PLANE * place for place in range(5))
+_VALID_BACK = 3 * PLANE
+PLANES, BACK_PLANES, BLURRED, MEANS = 5 * PLANE, 4 * PLANE, 4 * FOUR_ROWS, 4 * WIDTH
+
+_exponentials = np.exp(-0.5 * (np.arange(RADIUS + 1) / 1.5) ** 2)
+W0, W1, W2, W3, W4, W5 = (_exponentials / (2 * _exponentials.sum() - 1)).astype(np.float32)
+C1, C2, TWO = np.float32(0.01**2), np.float32(0.03**2), np.float32(2)
+
+# Of a job: size of the images; addresses of the images, the mask, the slopes, the sum of each tile, the cotangent and
+# the gradient; how many planes have means: as a literal, LLVM would repeat their loops and compile twice as long.
+_HEIGHT, _COLUMNS, _CHANNELS, _IMAGES, _TARGETS, _MASK, _SLOPES, _SUMS, _SCALE, _GRADIENT, _MEANS = range(11)
+_JOB_WORDS = 11
+
+
+@inlined
+def weighted(a, b, c, d, e, f, g, h, i, j, k):
+    """Sum of the eleven numbers in a window."""
+    return W5 * (a + k) + W4 * (b + j) + W3 * (c + i) + W2 * (d + h) + W1 * (e + g) + W0 * f
+
+
+@inlined
+def blur_columns(target, source):
+    """Four rows of weighted sums along columns, from 14 rows."""
+    n = HELD_WIDTH
+    for i in range(n):
+        a, b, c, d, e = source[i], source[i + n], source[i + 2 * n], source[i + 3 * n], source[i + 4 * n]
+        f, g, h, j = source[i + 5 * n], source[i + 6 * n], source[i + 7 * n], source[i + 8 * n]
+        k, o, p, q, r = (
+            source[i + 9 * n],
+            source[i + 10 * n],
+            source[i + 11 * n],
+            source[i + 12 * n],
+            source[i + 13 * n],
+        )
+        target[i] = weighted(a, b, c, d, e, f, g, h, j, k, o)
+        target[i + n] = weighted(b, c, d, e, f, g, h, j, k, o, p)
+        target[i + 2 * n] = weighted(c, d, e, f, g, h, j, k, o, p, q)
+        target[i + 3 * n] = weighted(d, e, f, g, h, j, k, o, p, q, r)
+
+
+@inlined
+def blur_row(target, source, channels):
+    """Weighted sums along a row of interleaved channels."""
+    n = channels
+    for i in range(WIDTH):
+        a, b, c, d, e = source[i], source[i + n], source[i + 2 * n], source[i + 3 * n], source[i + 4 * n]
+        f, g, h, j = source[i + 5 * n], source[i + 6 * n], source[i + 7 * n], source[i + 8 * n]
+        target[i] = weighted(a, b, c, d, e, f, g, h, j, source[i + 9 * n], source[i + 10 * n])
+
+
+@inlined
+def means_of_row(job, means, blurred, planes, row):
+    """Window means about a row of a tile; rows come in order, from 0."""
+    count = word(job, _MEANS)
+    if row % FOUR == 0:
+        for plane in range(count):
+            blur_columns(floats_at(blurred, plane * FOUR_ROWS), floats_at(planes, plane * PLANE + row * HELD_WIDTH))
+    for plane in range(count):
+        source = floats_at(blurred, plane * FOUR_ROWS + row % FOUR * HELD_WIDTH)
+        blur_row(floats_at(means, plane * WIDTH), source, word(job, _CHANNELS))
+
+
+@inlined
+def clear(numbers, count):
+    """Sets so many numbers to zero."""
+    for i in range(count):
+        numbers[i] = ZERO
+
+
+@inlined
+def copy(target, source, count):
+    """Copies so many numbers."""
+    for i in range(count):
+        target[i] = source[i]
+
+
+@inlined
+def tiles_across(job):
+    """Tiles next to each other."""
+    columns = WIDTH // word(job, _CHANNELS)
+    return (word(job, _COLUMNS) + columns - 1) // columns
+
+
+@inlined
+def place_of_tile(job, tile):
+    """First row, end of the rows, first column and end of the columns of a tile."""
+    across, columns = tiles_across(job), WIDTH // word(job, _CHANNELS)
+    top, left = tile // across * TILE_ROWS, tile % across * columns
+    return top, min(top + TILE_ROWS, word(job, _HEIGHT)), left, min(left + columns, word(job, _COLUMNS))
+
+
+@inlined
+def read_mask(valid, mask, columns, channels):
+    """Writes 1 for each number of the valid pixels among `columns`; the rest stays."""
+    count = 0
+    for x in range(columns):
+        count += mask[x]
+    if count == columns:  # In most tiles. One number at a time would take longer than all else that is read.
+        for i in range(columns * channels):
+            valid[i] = ONE
+    elif count > 0:
+        for x in range(columns):
+            for c in range(channels):
+                valid[x * channels + c] = mask[x]
+
+
+@inlined
+def read_tile(job, planes, tile):
+    """The five planes of a tile with its border: zeros at invalid pixels, and beyond the images."""
+    columns, channels = word(job, _COLUMNS), word(job, _CHANNELS)
+    top, end_row, left, end_column = place_of_tile(job, tile)
+    begin, end = max(left - RADIUS, 0), min(end_column + RADIUS, columns)
+    first, last = max(top - RADIUS, 0), min(end_row + RADIUS, word(job, _HEIGHT))
+    inset = floats_at(planes, (begin - left + RADIUS) * channels - (top - RADIUS) * HELD_WIDTH)
+    clear(planes, PLANES)
+    # All rows before the next loop: a processor that reads what it has just written in smaller parts waits for it.
+    for y in range(first, last):
+        valid = floats_at(inset, _VALID + y * HELD_WIDTH)
+        read_mask(valid, as_bytes(word(job, _MASK) + y * columns + begin), end - begin, channels)
+    for y in range(first, last):
+        place, row = (y * columns + begin) * channels, floats_at(inset, y * HELD_WIDTH)
+        image, target = (
+            floats_at(as_floats(word(job, _IMAGES)), place),
+            floats_at(as_floats(word(job, _TARGETS)), place),
+        )
+        for i in range((end - begin) * channels):
+            is_valid = row[_VALID + i] > ZERO
+            a, b = image[i] if is_valid else ZERO, target[i] if is_valid else ZERO
+            row[_IMAGE + i], row[_TARGET + i] = a, b
+            row[_SQUARES + i], row[_PRODUCT + i] = a * a + b * b, a * b
+
+
+@inlined
+def compare(means, valid):
+    """The sum of SSIM along a row; in the place of the means its slopes to mean, squares and product."""
+    total = ZERO
+    for i in range(WIDTH):
+        x, y, squares, product = means[i], means[WIDTH + i], means[2 * WIDTH + i], means[3 * WIDTH + i]
+        per_luminance, per_structure = ONE / (x * x + y * y + C1), ONE / (squares - (x * x + y * y) + C2)
+        luminance, structure = (TWO * (x * y) + C1) * per_luminance, (TWO * (product - x * y) + C2) * per_structure
+        of_luminance = structure * per_luminance * (y - luminance * x)
+        of_structure = luminance * per_structure * (structure * x - y)
+        total += valid[i] * (luminance * structure)
+        means[i] = TWO * valid[i] * (of_luminance + of_structure)
+        means[WIDTH + i] = -valid[i] * (luminance * structure * per_structure)
+        means[2 * WIDTH + i] = TWO * valid[i] * (luminance * per_structure)
+    return total
+
+
+@inlined
+def compare_tile(job, tile):
+    """Writes the sum of a tile's SSIM, and its slopes."""
+    planes, blurred, means = floats_on_stack(PLANES), floats_on_stack(BLURRED), floats_on_stack(MEANS)
+    columns, channels, total = word(job, _COLUMNS), word(job, _CHANNELS), ZERO
+    top, end_row, left, end_column = place_of_tile(job, tile)
+    read_tile(job, planes, tile)
+    for y in range(top, end_row):
+        means_of_row(job, means, blurred, planes, y - top)
+        valid = floats_at(planes, _VALID + (y - top + RADIUS) * HELD_WIDTH + RADIUS * channels)
+        total += compare(means, valid)
+        for plane in range(3):
+            place = ((plane * word(job, _HEIGHT) + y) * columns + left) * channels
+            slopes = floats_at(as_floats(word(job, _SLOPES)), place)
+            copy(slopes, floats_at(means, plane * WIDTH), (end_column - left) * channels)
+    as_floats(word(job, _SUMS))[tile] = total
+
+
+@inlined
+def read_slopes(job, planes, tile):
+    """The three planes of slopes of a tile with its border, and which of its pixels are valid."""
+    columns, channels, height = word(job, _COLUMNS), word(job, _CHANNELS), word(job, _HEIGHT)
+    top, end_row, left, end_column = place_of_tile(job, tile)
+    begin, end = max(left - RADIUS, 0), min(end_column + RADIUS, columns)
+    inset = floats_at(planes, (begin - left + RADIUS) * channels - (top - RADIUS) * HELD_WIDTH)
+    clear(planes, BACK_PLANES)
+    for plane in range(3):
+        for y in range(max(top - RADIUS, 0), min(end_row + RADIUS, height)):
+            slopes = floats_at(as_floats(word(job, _SLOPES)), ((plane * height + y) * columns + begin) * channels)
+            copy(floats_at(inset, plane * PLANE + y * HELD_WIDTH), slopes, (end - begin) * channels)
+    for y in range(top, end_row):
+        valid = floats_at(planes, _VALID_BACK + (y - top) * HELD_WIDTH)
+        read_mask(valid, as_bytes(word(job, _MASK) + y * columns + left), end_column - left, channels)
+
+
+@inlined
+def differentiate_tile(job, tile):
+    """Writes a tile's gradient to the image."""
+    planes, blurred, means = floats_on_stack(BACK_PLANES), floats_on_stack(BLURRED), floats_on_stack(MEANS)
+    columns, channels, scale = word(job, _COLUMNS), word(job, _CHANNELS), as_floats(word(job, _SCALE))[0]
+    top, end_row, left, end_column = place_of_tile(job, tile)
+    read_slopes(job, planes, tile)
+    for y in range(top, end_row):
+        means_of_row(job, means, blurred, planes, y - top)
+        valid = floats_at(planes, _VALID_BACK + (y - top) * HELD_WIDTH)
+        place = (y * columns + left) * channels
+        image, target = (
+            floats_at(as_floats(word(job, _IMAGES)), place),
+            floats_at(as_floats(word(job, _TARGETS)), place),
+        )
+        gradient = floats_at(as_floats(word(job, _GRADIENT)), place)
+        for i in range((end_column - left) * channels):
+            slope = means[i] + TWO * image[i] * means[WIDTH + i] + target[i] * means[2 * WIDTH + i]
+            gradient[i] = scale * slope if valid[i] > ZERO else ZERO
+
+
+@entry_point(TASK)
+def compare_in_threads(shared):
+    """Compares tiles until none is left."""
+    job, item = job_of(shared), next_item(shared)
+    while item >= 0:
+        compare_tile(job, item)
+        item = item_after(shared)
+    let_go(shared)
+
+
+@entry_point(TASK)
+def differentiate_in_threads(shared):
+    """Differentiates tiles until none is left."""
+    job, item = job_of(shared), next_item(shared)
+    while item >= 0:
+        differentiate_tile(job, item)
+        item = item_after(shared)
+    let_go(shared)
+
+
+define("rasterizer_compare_in_threads", compare_in_threads.address)
+define("rasterizer_differentiate_in_threads", differentiate_in_threads.address)
+
+
+@inlined
+def write_images(frame, job):
+    """Writes size and addresses of the first three arguments: image, target and mask."""
+    for axis in range(3):
+        set_word(job, _HEIGHT + axis, length(argument(frame, 0), axis))
+    for place in range(3):
+        set_word(job, _IMAGES + place, data(argument(frame, place)))
+
+
+@inlined
+def num_tiles(job):
+    """Tiles of the images."""
+    return tiles_across(job) * ((word(job, _HEIGHT) + TILE_ROWS - 1) // TILE_ROWS)
+
+
+@entry_point(HANDLER)
+def ssim(frame):
+    """(image, target, mask) -> the sum of SSIM over the valid pixels of each tile, and the slopes."""
+    if only_introduces(frame):
+        return 0
+    job = words_on_stack(_JOB_WORDS)
+    write_images(frame, job)
+    set_word(job, _SUMS, data(result(frame, 0)))
+    set_word(job, _SLOPES, data(result(frame, 1)))
+    set_word(job, _MEANS, 4)
+    return 0 if share(frame, address_of("rasterizer_compare_in_threads"), job, num_tiles(job)) else no_memory(frame)
+
+
+@entry_point(HANDLER)
+def ssim_gradient(frame):
+    """(image, target, mask, slopes, cotangent of the sum) -> the gradient to the image."""
+    if only_introduces(frame):
+        return 0
+    job = words_on_stack(_JOB_WORDS)
+    write_images(frame, job)
+    set_word(job, _SLOPES, data(argument(frame, 3)))
+    set_word(job, _SCALE, data(argument(frame, 4)))
+    set_word(job, _GRADIENT, data(result(frame, 0)))
+    set_word(job, _MEANS, 3)
+    if not share(frame, address_of("rasterizer_differentiate_in_threads"), job, num_tiles(job)):
+        return no_memory(frame)
+    return 0
