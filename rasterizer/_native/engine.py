@@ -29,8 +29,16 @@ def _check_interface() -> None:
 
 
 _check_interface()
-_OF_IMAGES = _similarity.ssim, _similarity.ssim_gradient
-for _handler in (_lists.lists, _passes.forward, _passes.backward, _updates.adam, _updates.all_finite, *_OF_IMAGES):
+_HANDLERS = (
+    _lists.lists,
+    _passes.forward,
+    _passes.backward,
+    _updates.adam,
+    _updates.all_finite,
+    _similarity.ssim,
+    _similarity.ssim_gradient,
+)
+for _handler in _HANDLERS:
     jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
 
 

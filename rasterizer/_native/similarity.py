@@ -1,8 +1,8 @@
 """SSIM of two images and its gradient, as XLA calls them.
 
-A thread takes a tile of both images with the border that the window reaches. The tile's planes lie in the second cache:
-the images, the two products whose means SSIM needs, and which pixels are valid. Means are sums along columns, four rows
-at a time, then along rows. All loops over a plane have lengths that LLVM knows, and become loops over vectors.
+A thread takes a tile of both images with the border that the window reaches, on its stack: the images, the two products
+whose means SSIM needs, and which pixels are valid. Window means are weighted sums along columns, four rows at a time,
+then along rows. The sum of SSIM is one number a tile, so that it does not depend on the number of threads.
 """
 
 import numpy as np
@@ -58,9 +58,9 @@ _JOB_WORDS = 11
 
 
 @inlined
-def weighted(a, b, c, d, e, f, g, h, i, j, k):
-    """Sum of the eleven numbers in a window."""
-    return W5 * (a + k) + W4 * (b + j) + W3 * (c + i) + W2 * (d + h) + W1 * (e + g) + W0 * f
+def weighted(s0, s1, s2, s3, s4, s5, s6, s7, s8, s9, s10):
+    """Weighted sum of the eleven numbers in a window."""
+    return W5 * (s0 + s10) + W4 * (s1 + s9) + W3 * (s2 + s8) + W2 * (s3 + s7) + W1 * (s4 + s6) + W0 * s5
 
 
 @inlined
@@ -68,19 +68,14 @@ def blur_columns(target, source):
     """Four rows of weighted sums along columns, from 14 rows."""
     n = HELD_WIDTH
     for i in range(n):
-        a, b, c, d, e = source[i], source[i + n], source[i + 2 * n], source[i + 3 * n], source[i + 4 * n]
-        f, g, h, j = source[i + 5 * n], source[i + 6 * n], source[i + 7 * n], source[i + 8 * n]
-        k, o, p, q, r = (
-            source[i + 9 * n],
-            source[i + 10 * n],
-            source[i + 11 * n],
-            source[i + 12 * n],
-            source[i + 13 * n],
-        )
-        target[i] = weighted(a, b, c, d, e, f, g, h, j, k, o)
-        target[i + n] = weighted(b, c, d, e, f, g, h, j, k, o, p)
-        target[i + 2 * n] = weighted(c, d, e, f, g, h, j, k, o, p, q)
-        target[i + 3 * n] = weighted(d, e, f, g, h, j, k, o, p, q, r)
+        s0, s1, s2, s3, s4 = source[i], source[i + n], source[i + 2 * n], source[i + 3 * n], source[i + 4 * n]
+        s5, s6, s7, s8 = source[i + 5 * n], source[i + 6 * n], source[i + 7 * n], source[i + 8 * n]
+        s9, s10, s11, s12 = source[i + 9 * n], source[i + 10 * n], source[i + 11 * n], source[i + 12 * n]
+        s13 = source[i + 13 * n]
+        target[i] = weighted(s0, s1, s2, s3, s4, s5, s6, s7, s8, s9, s10)
+        target[i + n] = weighted(s1, s2, s3, s4, s5, s6, s7, s8, s9, s10, s11)
+        target[i + 2 * n] = weighted(s2, s3, s4, s5, s6, s7, s8, s9, s10, s11, s12)
+        target[i + 3 * n] = weighted(s3, s4, s5, s6, s7, s8, s9, s10, s11, s12, s13)
 
 
 @inlined
@@ -88,9 +83,9 @@ def blur_row(target, source, channels):
     """Weighted sums along a row of interleaved channels."""
     n = channels
     for i in range(WIDTH):
-        a, b, c, d, e = source[i], source[i + n], source[i + 2 * n], source[i + 3 * n], source[i + 4 * n]
-        f, g, h, j = source[i + 5 * n], source[i + 6 * n], source[i + 7 * n], source[i + 8 * n]
-        target[i] = weighted(a, b, c, d, e, f, g, h, j, source[i + 9 * n], source[i + 10 * n])
+        s0, s1, s2, s3, s4 = source[i], source[i + n], source[i + 2 * n], source[i + 3 * n], source[i + 4 * n]
+        s5, s6, s7, s8 = source[i + 5 * n], source[i + 6 * n], source[i + 7 * n], source[i + 8 * n]
+        target[i] = weighted(s0, s1, s2, s3, s4, s5, s6, s7, s8, source[i + 9 * n], source[i + 10 * n])
 
 
 @inlined
