@@ -9,7 +9,7 @@ are scaled to what this machine does of them in that time. Called again it resum
 import argparse
 import runpy
 import sys
-from collections.abc import Mapping
+import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,7 +37,7 @@ class Study(NamedTuple):
     on: str  # name of a config
     config: dict[str, Any]  # the whole of it
     variants: dict[str, dict[str, Any]]  # differences from it by name
-    evaluated: dict[str, Any]  # options of `gsjax.pipeline.evaluate`
+    points: int | None  # surface points of each run's mesh; None: the number of `gsjax mesh`
 
 
 def load_study(name: str, on: str | None = None) -> Study:
@@ -54,7 +54,7 @@ def load_study(name: str, on: str | None = None) -> Study:
     module = runpy.run_path(str(path))
     on = on or module["ON"]
     base = load_config(on)
-    return Study(on, base, module["variants"](base, on), module.get("EVALUATED", {}))
+    return Study(on, base, module["variants"](base, on), module.get("POINTS"))
 
 
 def run(
@@ -86,8 +86,9 @@ def run(
             if not done.exists():
                 print(f"== {folder.name}", flush=True)
                 settings = config.merge(described.config, _placed(change, scene), {"seed": seed})
-                _train(scene, folder, config.parse(Settings, settings, where=variant), seconds)
-                json_files.write(done, _figures(folder, described.evaluated))
+                used = _train(scene, folder, config.parse(Settings, settings, where=variant), seconds)
+                figures, floor = _figures(folder, described.points)
+                json_files.write(done, (figures | {"processor_seconds": used}, floor))
             figures, floor = json_files.read(done)
             every.setdefault(variant, []).append(figures)
     every |= {tables.FLOOR: [floor]} if floor else {}
@@ -95,7 +96,8 @@ def run(
     return every
 
 
-def _train(scene: str, folder: Path, settings: Settings, seconds: float | None) -> None:
+def _train(scene: str, folder: Path, settings: Settings, seconds: float | None) -> float:
+    """The seconds of the processor, which depend less on other processes than those of the clock."""
     from terms import terms_of_scene
 
     from gsjax import pipeline, runs
@@ -106,14 +108,18 @@ def _train(scene: str, folder: Path, settings: Settings, seconds: float | None) 
     elif seconds is not None:
         settings = config.parse(Settings, runs.read_settings(folder))
     terms = terms_of_scene(scene, settings)
+    begin = time.process_time()
     pipeline.train(scene, folder, settings, terms=terms, resume=folder.exists())
+    return time.process_time() - begin
 
 
-def _figures(folder: Path, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _figures(folder: Path, points: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
     """A variant's figures, and those of the true mesh where there is one."""
     from gsjax import pipeline, runs
 
-    figures = pipeline.evaluate(folder, **options)
+    if points is not None:
+        pipeline.mesh(folder, folder / "mesh.ply", points=points)
+    figures = pipeline.evaluate(folder)
     last = runs.read_metrics(folder)[-20:]
     aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]
     keys = [*FIGURES, *(f"{score}_{way}" for score in ("psnr", "ssim") for way in WAYS)]

@@ -110,7 +110,7 @@ DEMO: dict[str, Any] = {
             _phase(
                 "surface",
                 900,
-                weights={"pixel_normal": 0.6, "thickness": 0.02},
+                weights={"sdf_normal": 0.1, "pixel_normal": 0.6, "thickness": 0.02, "coverage": 0.05},
                 surface_every=4,
                 density_control=True,
             ),
@@ -130,8 +130,10 @@ DEMO: dict[str, Any] = {
 }
 """The built-in scene at 192x192 pixels with its true normals (`gsjax.pipeline.demo`).
 
+R acts in both forms: `sdf_normal`, the paper's, is composited, `pixel_normal` is taken at each pixel's surface point.
 R and `thickness` act while Gaussians densify: splats that are thin by then cost pictures nothing
-(experiments/results/price_of_r.md).
+(experiments/results/price_of_r.md). `coverage` closes holes where the ground has the colour of the background
+(experiments/results/ablation.md).
 """
 
 PRESETS: dict[str, dict[str, Any]] = {

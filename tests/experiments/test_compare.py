@@ -25,9 +25,10 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
     floor = {"floor": {"chamfer": 1e-4, "threshold": 0.03}} if with_mesh else {}
     monkeypatch.setattr(pipeline, "train", lambda *_, **__: None)
     two = {"base": {}, "more": {"model": {"sh_degree": 3}}}
-    monkeypatch.setattr(compare, "load_study", lambda *_: compare.Study("base", compare.load_config("base"), two, {}))
+    monkeypatch.setattr(compare, "load_study", lambda *_: compare.Study("base", compare.load_config("base"), two, None))
     figures = {"psnr": 30.0, "views": 2, **floor}
-    monkeypatch.setattr(pipeline, "evaluate", lambda _, **__: figures | {"chamfer": next(chamfers)})
+    monkeypatch.setattr(pipeline, "mesh", lambda *_, **__: None)
+    monkeypatch.setattr(pipeline, "evaluate", lambda _: figures | {"chamfer": next(chamfers)})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     for _ in range(2):  # The second time from what the first has left.
         rows = compare.run("two", "scene", str(tmp_path), seeds=3)
@@ -46,7 +47,8 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, mon
     monkeypatch.setattr(
         pipeline, "train", lambda _, folder, settings, **__: settings_by_run.setdefault(folder.name, settings)
     )
-    monkeypatch.setattr(pipeline, "evaluate", lambda _, **__: {"psnr": 30.0})
+    monkeypatch.setattr(pipeline, "mesh", lambda *_, **__: None)
+    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     compare.run(study, "scene", str(tmp_path), on=on)
     variants = compare.load_study(study, on).variants
@@ -71,7 +73,8 @@ def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
 
 def test_a_folder_of_another_study_or_config_is_not_mixed_in(compare, monkeypatch, tmp_path):
     monkeypatch.setattr(pipeline, "train", lambda *_, **__: None)
-    monkeypatch.setattr(pipeline, "evaluate", lambda _, **__: {"psnr": 30.0})
+    monkeypatch.setattr(pipeline, "mesh", lambda *_, **__: None)
+    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     compare.run("baselines", "scene", str(tmp_path))
     with pytest.raises(InputError, match=r"asked.json: its runs are of on built_in, not bunny_plane; --out takes"):
