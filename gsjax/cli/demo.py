@@ -8,11 +8,11 @@ SHOWN = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", 
          "gaussians", "seconds")  # fmt: skip
 
 ABOUT = About(
-    summary="train and mesh a built-in scene with and without the normal term, and compare",
+    summary="train and mesh a built-in scene with and without the surface terms, and compare",
     description="""
         Renders a built-in scene with exact depth and normals, trains it twice from the same start
-        (vanilla, and with the normal term), extracts both meshes and writes report.json and pictures
-        side by side. Needs no data and takes minutes on a CPU.
+        (vanilla, and with the surface terms and the true normals), extracts both meshes and writes
+        report.json and pictures side by side. Needs no data and takes minutes on a CPU.
     """,
     example="gsjax demo --out runs/demo",
     packages=("open3d", "trimesh", "pycolmap", "matplotlib"),
@@ -32,4 +32,4 @@ def run(out: str) -> str:
     report = demo.run(out)
     rows = {"vanilla": report["vanilla"], "surface": report["surface"], tables.FLOOR: report["floor"]}
     table = tables.compare({name: {key: row[key] for key in SHOWN if key in row} for name, row in rows.items()})
-    return f"{table}\nreport and pictures: {out}"
+    return f"{table}\nnormals of the surface terms: the true ones of the scene\nreport and pictures: {out}"

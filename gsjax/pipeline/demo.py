@@ -1,4 +1,4 @@
-"""The embedded default: a scene of our own, known exactly, trained with and without the normal term and compared."""
+"""The built-in scene, known exactly, trained with and without the surface terms and compared."""
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -31,7 +31,7 @@ REPORTED = ("psnr", "ssim", "normal_error_deg", "normal_error_median_deg", "norm
 def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     """Make the scene, train both variants for the same steps, the first of them once, mesh, score, and draw.
 
-    The true normals of the scene play the part of the monocular ones.
+    The surface terms are those of `gsjax.presets.DEMO`. R reads the true normals of the scene in place of monocular ones.
 
     Args:
         out: Folder for the scene, both runs, `report.json` and `comparison.png`; absent or empty.
@@ -99,10 +99,10 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
     panels = {
         "held-out photo": frame.pixels().image,
         "normals, vanilla": surface_picture(before.depth, camera),
-        "normals, with the SDF term": surface_picture(after.depth, camera),
+        "normals, surface terms": surface_picture(after.depth, camera),
         "normals, true": normal_picture(truth.normals[frame.name]()),
-        "render, with the SDF term": to_bytes(after.colors),
+        "render, surface terms": to_bytes(after.colors),
         "mesh, vanilla": mesh_picture(local(read_mesh(out / "vanilla" / "mesh.ply")), camera),
-        "mesh, with the SDF term": mesh_picture(local(read_mesh(out / "surface" / "mesh.ply")), camera),
+        "mesh, surface terms": mesh_picture(local(read_mesh(out / "surface" / "mesh.ply")), camera),
     }
     return draw_panels(panels, out / "comparison.png")
