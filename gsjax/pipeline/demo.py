@@ -31,7 +31,7 @@ REPORTED = ("psnr", "ssim", "normal_error_deg", "normal_error_median_deg", "norm
 def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     """Make the scene, train both variants for the same steps, the first of them once, mesh, score, and draw.
 
-    The surface terms are those of `gsjax.presets.DEMO`. R reads the true normals of the scene in place of monocular ones.
+    The surface terms are those of `gsjax.presets.DEMO`. R reads the true normals of the scene, not monocular ones.
 
     Args:
         out: Folder for the scene, both runs, `report.json` and `comparison.png`; absent or empty.
