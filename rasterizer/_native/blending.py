@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rasterizer._native.compiled import inlined
+from rasterizer._native.vectors import clamp_bits, floor, larger, magnitude, scale_by_power, smaller, where
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 LOG2_E = np.float32(1.4426950408889634)
@@ -29,8 +30,8 @@ def exp_minus(sigma):
     """exp(-sigma) to 2e-7 of itself, 0 (nearly) where sigma is negative, over 80 or not a number."""
     # 2^t = 2^floor(t) 2^fraction: the first is written into the exponent's bits, the second is a polynomial that was
     # fitted to the least largest relative error on 0..1. libm's exp would not become a vector.
-    t = (sigma if (sigma >= ZERO) & (sigma < HARMLESS) else HARMLESS) * -LOG2_E
-    whole = np.floor(t)
+    t = clamp_bits(sigma, HARMLESS) * -LOG2_E
+    whole = floor(t)
     f = t - whole
     power = np.float32(1.8775767e-3)
     power = power * f + np.float32(8.9893397e-3)
@@ -38,8 +39,7 @@ def exp_minus(sigma):
     power = power * f + np.float32(2.4015361e-1)
     power = power * f + np.float32(6.9315308e-1)
     power = power * f + np.float32(0.99999994)
-    exponent = np.int32((np.int32(whole) + np.int32(127)) << np.int32(23))
-    return power * exponent.view(np.float32)
+    return scale_by_power(power, whole)
 
 
 @inlined
@@ -51,7 +51,7 @@ def splat_sigma(dx, dy, conic_xx, conic_xy, conic_yy):
 @inlined
 def cut_alpha(unclamped, rules):
     """Alpha as blended: clamped above, zero under the cut. `exp_minus` has seen to a negative sigma."""
-    return min(unclamped, rules.alpha_max) if unclamped >= rules.alpha_min else ZERO
+    return where(unclamped >= rules.alpha_min, smaller(unclamped, rules.alpha_max), ZERO)
 
 
 @inlined
@@ -59,13 +59,13 @@ def blend_splat(signed_t, alpha, rules):
     """The splat's weight, and the signed transmittance behind it, negative where the pixel has stopped."""
     left = signed_t * (ONE - alpha)
     live = left > rules.transmittance_min
-    return signed_t - left if live else ZERO, left if live else -abs(signed_t)
+    return where(live, signed_t - left, ZERO), where(live, left, ZERO - magnitude(signed_t))
 
 
 @inlined
 def front_weight(t, weight, stop_after):
     """The part of a splat's weight that uses up light above `stop_after`, of transmittance `t` in front of it."""
-    return min(weight, max(t - stop_after, ZERO))
+    return smaller(weight, larger(t - stop_after, ZERO))
 
 
 @inlined
@@ -85,8 +85,8 @@ def unblend_in_front(t, behind, lit, alpha, unclamped, rules, lit_in_front):
     weight = t * alpha
     counted = front_weight(t, weight, rules.stop_after)
     is_whole = counted == weight
-    passed = weight * lit + (counted if is_whole | (counted <= ZERO) else t) * lit_in_front
-    lit = lit + (lit_in_front if is_whole else ZERO)
+    passed = weight * lit + where(is_whole | (counted <= ZERO), counted, t) * lit_in_front
+    lit = lit + where(is_whole, lit_in_front, ZERO)
     return slope(t, behind, lit, alpha, unclamped, inverse, rules), weight, t, behind + passed
 
 
@@ -94,4 +94,4 @@ def unblend_in_front(t, behind, lit, alpha, unclamped, rules, lit_in_front):
 def slope(t, behind, lit, alpha, unclamped, inverse, rules):
     """dL/dsigma: dL/dalpha = T lit - (what lies behind) / (1 - alpha), and d alpha / d sigma = -unclamped alpha."""
     differentiable = (alpha > ZERO) & (unclamped < rules.differentiable_below)
-    return (behind * inverse - t * lit) * (unclamped if differentiable else ZERO)
+    return (behind * inverse - t * lit) * where(differentiable, unclamped, ZERO)

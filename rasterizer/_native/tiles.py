@@ -15,15 +15,26 @@ from rasterizer._native.blending import (
     cut_alpha,
     exp_minus,
     front_weight,
-    splat_sigma,
     unblend_in_front,
     unblend_splat,
 )
 from rasterizer._native.compiled import inlined
-from rasterizer._native.instructions import add_products, add_scaled, floats_at, floats_on_stack
+from rasterizer._native.instructions import floats_at, floats_on_stack
+from rasterizer._native.vectors import (
+    LANES,
+    add_eight_sums,
+    any_of,
+    broadcast,
+    larger,
+    load,
+    store,
+    sum_of_lanes,
+    where,
+)
 
 MAX_SIDE, MAX_CHANNELS = 32, 16  # pixels of a tile, channels of a pass
-LANES = 8  # pixels of a block; a row of a tile is filled up to whole blocks with pixels that have stopped
+STRIP = 8
+ROWS = LANES // STRIP
 
 # Of a block, in numbers: pixel centres, light, place of the last splat that shows; then the place of the median splat
 # on the way there, and what lies behind on the way back; then channels or their gradients, at least three of them:
@@ -68,21 +79,34 @@ def rows_reached(y, reach, side):
 
 
 @inlined
-def blocks_of_row(side):
-    """Blocks of a row of a tile's pixels."""
-    return (side + LANES - 1) // LANES
+def strips_of(side):
+    """Strips of a tile's pixels."""
+    return (side + STRIP - 1) // STRIP
+
+
+@inlined
+def blocks_of_strip(side):
+    """Blocks of a strip."""
+    return (side + ROWS - 1) // ROWS
+
+
+@inlined
+def place_of(x, y, side):
+    """Where a pixel's numbers are."""
+    block = x // STRIP * blocks_of_strip(side) + y // ROWS
+    return block * BLOCK + y % ROWS * STRIP + x % STRIP
 
 
 @inlined
 def begin_blocks(blocks, side, channels):
     """Writes blocks of pixels that have stopped and show nothing, with their centres, from the tile's middle."""
-    middle, of_row = HALF * np.float32(side) - HALF, blocks_of_row(side)
-    for y in range(side):
-        for b in range(of_row):
-            block = floats_at(blocks, (y * of_row + b) * BLOCK)
+    middle, of_strip = HALF * np.float32(side) - HALF, blocks_of_strip(side)
+    for strip in range(strips_of(side)):
+        for b in range(of_strip):
+            block = floats_at(blocks, (strip * of_strip + b) * BLOCK)
             for j in range(LANES):
-                block[PIXEL_X + j] = np.float32(b * LANES + j) - middle
-                block[PIXEL_Y + j] = np.float32(y) - middle
+                block[PIXEL_X + j] = np.float32(strip * STRIP + j % STRIP) - middle
+                block[PIXEL_Y + j] = np.float32(b * ROWS + j // STRIP) - middle
                 block[LIGHT + j], block[LATEST + j], block[MIDDLE + j] = -ONE, -ONE, -ONE
             for j in range(CHANNEL, CHANNEL + LANES * channels):
                 block[j] = ZERO
@@ -91,46 +115,53 @@ def begin_blocks(blocks, side, channels):
 @inlined
 def all_stopped(blocks, side):
     """Whether no light is left for anything more."""
-    most = -ONE
-    for b in range(side * blocks_of_row(side)):
-        block = floats_at(blocks, b * BLOCK)
-        for j in range(LANES):
-            most = max(most, block[LIGHT + j])
-    return most <= ZERO
+    most = broadcast(-ONE)
+    for b in range(strips_of(side) * blocks_of_strip(side)):
+        most = larger(most, load(floats_at(blocks, b * BLOCK + LIGHT)))
+    return not any_of(most > ZERO)
 
 
 @inlined
 def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, alone):
     """Blends a list onto blocks; `alone`, a literal: only three channels, and no median, are computed."""
-    of_row, width = blocks_of_row(side), CHANNELS + through + until
-    weights, in_front = floats_on_stack(LANES), floats_on_stack(LANES)
+    of_strip, width = blocks_of_strip(side), CHANNELS + through + until
     for k in range(count):
         row = floats_at(rows, splats[k] * width)
         x, y, xx, xy, yy, opacity = row[0] - center_x, row[1] - center_y, row[2], row[3], row[4], row[5]
         top, bottom = rows_reached(y + HALF * np.float32(side), row[REACH], side)
         r, g, b, place = row[CHANNELS], row[CHANNELS + 1], row[CHANNELS + 2], np.float32(k)
-        for n in range(top * of_row, bottom * of_row):
-            block = floats_at(blocks, n * BLOCK)
-            for j in range(LANES):
-                sigma = splat_sigma(x - block[PIXEL_X + j], y - block[PIXEL_Y + j], xx, xy, yy)
+        for strip in range(strips_of(side)):
+            first = floats_at(blocks, strip * of_strip * BLOCK)
+            dx = x - load(floats_at(first, PIXEL_X))
+            along_x, mixed = HALF * xx * dx * dx, xy * dx
+            for n in range(top // ROWS, (bottom + ROWS - 1) // ROWS):
+                block = floats_at(first, n * BLOCK)
+                dy = y - load(floats_at(block, PIXEL_Y))
+                sigma = along_x + dy * (mixed + HALF * yy * dy)
                 alpha = cut_alpha(opacity * exp_minus(sigma), rules)
-                t = block[LIGHT + j]
+                t = load(floats_at(block, LIGHT))
                 weight, left = blend_splat(t, alpha, rules)
-                block[LIGHT + j] = left
-                block[LATEST + j] = place if weight > ZERO else block[LATEST + j]
-                block[CHANNEL + j] += weight * r
-                block[CHANNEL + LANES + j] += weight * g
-                block[CHANNEL + 2 * LANES + j] += weight * b
+                store(floats_at(block, LIGHT), left)
+                store(floats_at(block, LATEST), where(weight > ZERO, place, load(floats_at(block, LATEST))))
+                add_to(floats_at(block, CHANNEL), weight * r)
+                add_to(floats_at(block, CHANNEL + LANES), weight * g)
+                add_to(floats_at(block, CHANNEL + 2 * LANES), weight * b)
                 if not alone:
-                    block[MIDDLE + j] = place if (weight > ZERO) & (t > HALF) else block[MIDDLE + j]
-                    weights[j], in_front[j] = weight, front_weight(t, weight, rules.stop_after)
-            if not alone:
-                for d in range(THREE, through):
-                    add_scaled(floats_at(block, CHANNEL + LANES * d), weights, row[CHANNELS + d])
-                for d in range(through, through + until):
-                    add_scaled(floats_at(block, CHANNEL + LANES * d), in_front, row[CHANNELS + d])
+                    shows = (weight > ZERO) & (t > HALF)
+                    store(floats_at(block, MIDDLE), where(shows, place, load(floats_at(block, MIDDLE))))
+                    in_front = front_weight(t, weight, rules.stop_after)
+                    for d in range(THREE, through):
+                        add_to(floats_at(block, CHANNEL + LANES * d), weight * row[CHANNELS + d])
+                    for d in range(through, through + until):
+                        add_to(floats_at(block, CHANNEL + LANES * d), in_front * row[CHANNELS + d])
         if k % LOOK == LOOK - 1 and all_stopped(blocks, side):
             break
+
+
+@inlined
+def add_to(target, value):
+    """Adds a vector to the one at a place."""
+    store(target, load(target) + value)
 
 
 @inlined
@@ -156,18 +187,18 @@ def blend_tile(
         median: `[P]` int32, written: the same of the last that shows with more than half the light before it.
     """
     through = at_least_three(on)
-    blocks, of_row, pixels = floats_on_stack(BLOCKS), blocks_of_row(side), side * side
+    blocks, pixels = floats_on_stack(BLOCKS), side * side
     begin_blocks(blocks, side, through + in_front)
     for y in range(side):
         for x in range(side):
-            floats_at(blocks, (y * of_row + x // LANES) * BLOCK)[LIGHT + x % LANES] = ONE
+            floats_at(blocks, place_of(x, y, side))[LIGHT] = ONE
     if through == THREE and in_front == 0 and not with_median:
         blend_list(blocks, rows, splats, count, center_x, center_y, side, through, in_front, rules, True)
     else:
         blend_list(blocks, rows, splats, count, center_x, center_y, side, through, in_front, rules, False)
     for y in range(side):
         for x in range(side):
-            p, block = y * side + x, floats_at(blocks, (y * of_row + x // LANES) * BLOCK + x % LANES)
+            p, block = y * side + x, floats_at(blocks, place_of(x, y, side))
             light[p], last[p], median[p] = abs(block[LIGHT]), np.int32(block[LATEST]), np.int32(block[MIDDLE])
             for d in range(on):
                 features[d * pixels + p] = block[CHANNEL + LANES * d]
@@ -178,74 +209,59 @@ def blend_tile(
 @inlined
 def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, sums, alone):
     """Walks back over a list; `alone`, a literal: only three channels are there."""
-    of_row, channels = blocks_of_row(side), through + until
-    width, parts = CHANNELS + channels, floats_on_stack(PART_LANES)
-    lit_more, lit_in_front = floats_on_stack(LANES), floats_on_stack(LANES)
-    weights, in_front = floats_on_stack(LANES), floats_on_stack(LANES)
+    of_strip, channels = blocks_of_strip(side), through + until
+    width, parts, zeros = CHANNELS + channels, floats_on_stack(PART_LANES), broadcast(ZERO)
     for k in range(count - 1, -1, -1):
         row, total = floats_at(rows, splats[k] * width), floats_at(sums, splats[k] * width)
         x, y, xx, xy, yy, opacity = row[0] - center_x, row[1] - center_y, row[2], row[3], row[4], row[5]
         top, bottom = rows_reached(y + HALF * np.float32(side), row[REACH], side)
         r, g, b, place = row[CHANNELS], row[CHANNELS + 1], row[CHANNELS + 2], np.float32(k)
-        for j in range((GEOMETRY + THREE if alone else GEOMETRY + channels) * LANES):
-            parts[j] = ZERO
-        for n in range(top * of_row, bottom * of_row):
-            block = floats_at(blocks, n * BLOCK)
-            if not alone:
-                for j in range(LANES):
-                    lit_more[j], lit_in_front[j] = ZERO, ZERO
-                for d in range(THREE, through):
-                    add_scaled(lit_more, floats_at(block, CHANNEL + LANES * d), row[CHANNELS + d])
-                for d in range(through, channels):
-                    add_scaled(lit_in_front, floats_at(block, CHANNEL + LANES * d), row[CHANNELS + d])
-            for j in range(LANES):
-                dx, dy = x - block[PIXEL_X + j], y - block[PIXEL_Y + j]
-                unclamped = opacity * exp_minus(splat_sigma(dx, dy, xx, xy, yy))
-                alpha = cut_alpha(unclamped, rules) if place <= block[LATEST + j] else ZERO
-                d_r, d_g, d_b = block[CHANNEL + j], block[CHANNEL + LANES + j], block[CHANNEL + 2 * LANES + j]
+        if not alone:
+            for d in range(THREE, channels):
+                store(floats_at(parts, LANES * d), zeros)
+        for strip in range(strips_of(side)):
+            first = floats_at(blocks, strip * of_strip * BLOCK)
+            dx = x - load(floats_at(first, PIXEL_X))
+            along_x, mixed = HALF * xx * dx * dx, xy * dx
+            m, my, myy, sum_r, sum_g, sum_b = zeros, zeros, zeros, zeros, zeros, zeros
+            for n in range(top // ROWS, (bottom + ROWS - 1) // ROWS):
+                block = floats_at(first, n * BLOCK)
+                dy = y - load(floats_at(block, PIXEL_Y))
+                sigma = along_x + dy * (mixed + HALF * yy * dy)
+                unclamped = opacity * exp_minus(sigma)
+                alpha = where(load(floats_at(block, LATEST)) >= place, cut_alpha(unclamped, rules), ZERO)
+                d_r, d_g = load(floats_at(block, CHANNEL)), load(floats_at(block, CHANNEL + LANES))
+                d_b = load(floats_at(block, CHANNEL + 2 * LANES))
                 lit = r * d_r + g * d_g + b * d_b
+                t, behind = load(floats_at(block, LIGHT)), load(floats_at(block, BEHIND))
                 if alone:
-                    d_sigma, weight, t, behind = unblend_splat(
-                        block[LIGHT + j], block[BEHIND + j], lit, alpha, unclamped, rules
-                    )
+                    d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, rules)
                 else:
+                    lit_in_front = zeros
+                    for d in range(THREE, through):
+                        lit = lit + row[CHANNELS + d] * load(floats_at(block, CHANNEL + LANES * d))
+                    for d in range(through, channels):
+                        lit_in_front = lit_in_front + row[CHANNELS + d] * load(floats_at(block, CHANNEL + LANES * d))
                     d_sigma, weight, t, behind = unblend_in_front(
-                        block[LIGHT + j], block[BEHIND + j], lit + lit_more[j], alpha, unclamped, rules, lit_in_front[j]
+                        t, behind, lit, alpha, unclamped, rules, lit_in_front
                     )
-                    weights[j], in_front[j] = weight, front_weight(t, weight, rules.stop_after)
-                block[LIGHT + j], block[BEHIND + j] = t, behind
-                along_x, along_y = d_sigma * dx, d_sigma * dy
-                parts[j] += d_sigma
-                parts[LANES + j] += along_x
-                parts[2 * LANES + j] += along_y
-                parts[3 * LANES + j] += along_x * dx
-                parts[4 * LANES + j] += along_x * dy
-                parts[5 * LANES + j] += along_y * dy
-                parts[6 * LANES + j] += weight * d_r
-                parts[7 * LANES + j] += weight * d_g
-                parts[8 * LANES + j] += weight * d_b
-            if not alone:
-                for d in range(THREE, through):
-                    add_products(
-                        floats_at(parts, LANES * (GEOMETRY + d)), weights, floats_at(block, CHANNEL + LANES * d)
-                    )
-                for d in range(through, channels):
-                    add_products(
-                        floats_at(parts, LANES * (GEOMETRY + d)), in_front, floats_at(block, CHANNEL + LANES * d)
-                    )
-        for c in range(GEOMETRY):
-            total[c] += sum_of_lanes(parts, LANES * c)
-        for d in range(THREE if alone else channels):
-            total[CHANNELS + d] += sum_of_lanes(parts, LANES * (GEOMETRY + d))
-
-
-@inlined
-def sum_of_lanes(parts, first):
-    """The sum of a vector's numbers."""
-    total = ZERO
-    for j in range(LANES):
-        total += parts[first + j]
-    return total
+                    in_front = front_weight(t, weight, rules.stop_after)
+                    for d in range(THREE, through):
+                        add_to(floats_at(parts, LANES * d), weight * load(floats_at(block, CHANNEL + LANES * d)))
+                    for d in range(through, channels):
+                        add_to(floats_at(parts, LANES * d), in_front * load(floats_at(block, CHANNEL + LANES * d)))
+                store(floats_at(block, LIGHT), t)
+                store(floats_at(block, BEHIND), behind)
+                along_y = d_sigma * dy
+                m, my, myy = m + d_sigma, my + along_y, myy + along_y * dy
+                sum_r, sum_g, sum_b = sum_r + weight * d_r, sum_g + weight * d_g, sum_b + weight * d_b
+            mx = m * dx
+            add_eight_sums(total, (m, mx, my, mx * dx, my * dx, myy, zeros, sum_r))
+            total[CHANNELS + 1] += sum_of_lanes(sum_g)
+            total[CHANNELS + 2] += sum_of_lanes(sum_b)
+        if not alone:
+            for d in range(THREE, channels):
+                total[CHANNELS + d] += sum_of_lanes(load(floats_at(parts, LANES * d)))
 
 
 @inlined
@@ -268,11 +284,11 @@ def unblend_tile(rows, splats, center_x, center_y, side, on, in_front, rules, li
         sums: Like `rows`, added to: moments of dL/dsigma about the splats' means, and dL/dchannels.
     """
     through = at_least_three(on)
-    blocks, of_row, pixels, count = floats_on_stack(BLOCKS), blocks_of_row(side), side * side, 0
+    blocks, pixels, count = floats_on_stack(BLOCKS), side * side, 0
     begin_blocks(blocks, side, through + in_front)
     for y in range(side):
         for x in range(side):
-            p, block = y * side + x, floats_at(blocks, (y * of_row + x // LANES) * BLOCK + x % LANES)
+            p, block = y * side + x, floats_at(blocks, place_of(x, y, side))
             block[LIGHT], block[BEHIND], block[LATEST] = light[p], light[p] * d_light[p], np.float32(last[p])
             count = max(count, last[p] + 1)
             for d in range(on):
