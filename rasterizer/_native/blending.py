@@ -59,7 +59,7 @@ def blend_splat(signed_t, alpha, rules):
     """The splat's weight, and the signed transmittance behind it, negative where the pixel has stopped."""
     left = signed_t * (ONE - alpha)
     live = left > rules.transmittance_min
-    return where(live, signed_t - left, ZERO), where(live, left, ZERO - magnitude(signed_t))
+    return where(live, signed_t - left, ZERO), where(live, left, -magnitude(signed_t))
 
 
 @inlined

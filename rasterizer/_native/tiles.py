@@ -142,13 +142,12 @@ def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, u
                 t = load(floats_at(block, LIGHT))
                 weight, left = blend_splat(t, alpha, rules)
                 store(floats_at(block, LIGHT), left)
-                store(floats_at(block, LATEST), where(weight > ZERO, place, load(floats_at(block, LATEST))))
+                raise_to(floats_at(block, LATEST), where(weight > ZERO, place, -ONE))
                 add_to(floats_at(block, CHANNEL), weight * r)
                 add_to(floats_at(block, CHANNEL + LANES), weight * g)
                 add_to(floats_at(block, CHANNEL + 2 * LANES), weight * b)
                 if not alone:
-                    shows = (weight > ZERO) & (t > HALF)
-                    store(floats_at(block, MIDDLE), where(shows, place, load(floats_at(block, MIDDLE))))
+                    raise_to(floats_at(block, MIDDLE), where((weight > ZERO) & (t > HALF), place, -ONE))
                     in_front = front_weight(t, weight, rules.stop_after)
                     for d in range(THREE, through):
                         add_to(floats_at(block, CHANNEL + LANES * d), weight * row[CHANNELS + d])
@@ -162,6 +161,12 @@ def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, u
 def add_to(target, value):
     """Adds a vector to the one at a place."""
     store(target, load(target) + value)
+
+
+@inlined
+def raise_to(target, value):
+    """Writes the larger of a vector and the one at a place."""
+    store(target, larger(load(target), value))
 
 
 @inlined

@@ -18,6 +18,9 @@ LANES = 8
 CONTRACT = ("contract",)  # a product and a sum may round once
 
 
+NUMBERS = ("nnan", "nsz")
+
+
 class Vector(types.Type):
     """LANES numbers of float32, or of one bit."""
 
@@ -130,7 +133,9 @@ def _extreme(symbol):
     def extreme(typingctx, one, other):
         def codegen(context, builder, signature, arguments):
             a, b = (_broadcast(builder, x) for x in arguments)
-            return builder.select(builder.fcmp_ordered(symbol, a, b), a, b)
+            # As numbers, which no vector here fails to be: or a store of the result becomes one under a mask, which
+            # takes many times as long on some processors.
+            return builder.select(builder.fcmp_ordered(symbol, a, b, flags=NUMBERS), a, b, flags=NUMBERS)
 
         return FLOATS(one, other), codegen
 
@@ -152,6 +157,17 @@ def _unary(name):
         return FLOATS(FLOATS), codegen
 
     return unary
+
+
+@infer_global(operator.neg)
+class _Negative(AbstractTemplate):
+    def generic(self, args, kws):
+        return signature(FLOATS, FLOATS) if args == (FLOATS,) else None
+
+
+@extending.lower_builtin(operator.neg, FLOATS)
+def _lower_negative(context, builder, sig, args):
+    return builder.fneg(args[0])
 
 
 floor, magnitude = _unary("floor"), _unary("fabs")
