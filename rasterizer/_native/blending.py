@@ -1,6 +1,6 @@
-"""The text of `rasterizer.blending` a second time, of scalars: numba compiles it into the loops over a tile's pixels.
+"""The text of `rasterizer.blending` a second time, of vectors of pixels: numba compiles it into the loops over a tile.
 
-Names and order are those of the first. Nothing branches, so that a loop over pixels becomes a loop over vectors.
+Names and order are those of the first. A splat's numbers are scalars, a pixel's are vectors, and nothing branches.
 """
 
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rasterizer._native.compiled import inlined
-from rasterizer._native.vectors import clamp_bits, floor, larger, magnitude, scale_by_power, smaller, where
+from rasterizer._native.vectors import absolute, floor, limit_bits, maximum, minimum, times_power_of_two, where
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 LOG2_E = np.float32(1.4426950408889634)
@@ -28,9 +28,9 @@ class Thresholds(NamedTuple):
 @inlined
 def exp_minus(sigma):
     """exp(-sigma) to 2e-7 of itself, 0 (nearly) where sigma is negative, over 80 or not a number."""
-    # 2^t = 2^floor(t) 2^fraction: the first is written into the exponent's bits, the second is a polynomial that was
-    # fitted to the least largest relative error on 0..1. libm's exp would not become a vector.
-    t = clamp_bits(sigma, HARMLESS) * -LOG2_E
+    # 2^t = 2^floor(t) 2^fraction: the first is added to the exponent's bits, the second is a polynomial that was fitted
+    # to the least largest relative error on 0..1.
+    t = limit_bits(sigma, HARMLESS) * -LOG2_E
     whole = floor(t)
     f = t - whole
     power = np.float32(1.8775767e-3)
@@ -39,19 +39,20 @@ def exp_minus(sigma):
     power = power * f + np.float32(2.4015361e-1)
     power = power * f + np.float32(6.9315308e-1)
     power = power * f + np.float32(0.99999994)
-    return scale_by_power(power, whole)
+    return times_power_of_two(power, whole)
 
 
 @inlined
 def splat_sigma(dx, dy, conic_xx, conic_xy, conic_yy):
     """Half the squared Mahalanobis distance of the pixel offset (dx, dy)."""
-    return dx * (HALF * conic_xx * dx + conic_xy * dy) + HALF * conic_yy * dy * dy
+    # What depends on dx alone is the same in every row of a strip: LLVM computes it once.
+    return HALF * conic_xx * dx * dx + dy * (conic_xy * dx + HALF * conic_yy * dy)
 
 
 @inlined
 def cut_alpha(unclamped, rules):
     """Alpha as blended: clamped above, zero under the cut. `exp_minus` has seen to a negative sigma."""
-    return where(unclamped >= rules.alpha_min, smaller(unclamped, rules.alpha_max), ZERO)
+    return where(unclamped >= rules.alpha_min, minimum(unclamped, rules.alpha_max), ZERO)
 
 
 @inlined
@@ -59,13 +60,13 @@ def blend_splat(signed_t, alpha, rules):
     """The splat's weight, and the signed transmittance behind it, negative where the pixel has stopped."""
     left = signed_t * (ONE - alpha)
     live = left > rules.transmittance_min
-    return where(live, signed_t - left, ZERO), where(live, left, -magnitude(signed_t))
+    return where(live, signed_t - left, ZERO), where(live, left, -absolute(signed_t))
 
 
 @inlined
 def front_weight(t, weight, stop_after):
     """The part of a splat's weight that uses up light above `stop_after`, of transmittance `t` in front of it."""
-    return smaller(weight, larger(t - stop_after, ZERO))
+    return minimum(weight, maximum(t - stop_after, ZERO))
 
 
 @inlined

@@ -83,47 +83,6 @@ def words_on_stack(typingctx, count):
     return types.int64(count), codegen
 
 
-EIGHT = ir.VectorType(ir.FloatType(), 8)
-
-
-def _add_to_eight(builder, target, product):
-    """Adds eight numbers to those at a place."""
-    place = builder.bitcast(target, EIGHT.as_pointer())
-    total = builder.fadd(builder.load(place, align=4), product, flags=("contract",))
-    builder.store(total, place, align=4)
-
-
-def _eight_at(builder, pointer):
-    return builder.load(builder.bitcast(pointer, EIGHT.as_pointer()), align=4)
-
-
-@intrinsic
-def add_scaled(typingctx, target, source, factor):
-    """target[j] += factor * source[j] for eight of them. A loop so short would be unrolled into scalars."""
-
-    def codegen(context, builder, signature, arguments):
-        lane = builder.insert_element(ir.Constant(EIGHT, ir.Undefined), arguments[2], ir.Constant(ir.IntType(32), 0))
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
-        factors = builder.shuffle_vector(lane, ir.Constant(EIGHT, ir.Undefined), zeros)
-        product = builder.fmul(_eight_at(builder, arguments[1]), factors, flags=("contract",))
-        _add_to_eight(builder, arguments[0], product)
-        return context.get_dummy_value()
-
-    return types.void(target, source, types.float32), codegen
-
-
-@intrinsic
-def add_products(typingctx, target, one, other):
-    """target[j] += one[j] * other[j] for eight of them."""
-
-    def codegen(context, builder, signature, arguments):
-        product = builder.fmul(_eight_at(builder, arguments[1]), _eight_at(builder, arguments[2]), flags=("contract",))
-        _add_to_eight(builder, arguments[0], product)
-        return context.get_dummy_value()
-
-    return types.void(target, one, other), codegen
-
-
 @intrinsic
 def fetch_add(typingctx, address, value):
     """What the word at an address held, before `value` is added to it: by one thread at a time."""

@@ -1,8 +1,8 @@
 """One tile at a time, front to back and back to front.
 
-Its pixels lie in the first cache, eight side by side: what is known of eight pixels is one block of numbers, so that
-LLVM makes a vector of each and finds all of them at one address. Only the rows of a tile that a splat's ellipse reaches
-are visited.
+A tile is cut into strips of eight columns, and a strip into blocks of as many pixels as a vector has lanes: one row, or
+two. What is known of a block's pixels lies together, in the first cache. Only the blocks that a splat's ellipse reaches
+along y are visited.
 """
 
 import numpy as np
@@ -15,6 +15,7 @@ from rasterizer._native.blending import (
     cut_alpha,
     exp_minus,
     front_weight,
+    splat_sigma,
     unblend_in_front,
     unblend_splat,
 )
@@ -23,18 +24,18 @@ from rasterizer._native.instructions import floats_at, floats_on_stack
 from rasterizer._native.vectors import (
     LANES,
     add_eight_sums,
-    any_of,
+    any_lane,
     broadcast,
-    larger,
     load,
+    maximum,
     store,
     sum_of_lanes,
     where,
 )
 
 MAX_SIDE, MAX_CHANNELS = 32, 16  # pixels of a tile, channels of a pass
-STRIP = 8
-ROWS = LANES // STRIP
+STRIP = 8  # columns; a tile is filled up to whole blocks with pixels that have stopped
+ROWS = LANES // STRIP  # of a block
 
 # Of a block, in numbers: pixel centres, light, place of the last splat that shows; then the place of the median splat
 # on the way there, and what lies behind on the way back; then channels or their gradients, at least three of them:
@@ -45,7 +46,7 @@ BLOCK = CHANNEL + LANES * (MAX_CHANNELS + THREE)
 BLOCKS = MAX_SIDE * MAX_SIDE // LANES * BLOCK  # the numbers of a tile
 
 GEOMETRY, REACH, CHANNELS = 6, 6, 7  # of a row: mean, conic, opacity; how far it reaches along y; its channels
-PART_LANES = (GEOMETRY + MAX_CHANNELS + THREE) * LANES  # sums of a splat over a tile, a number a lane each
+PART_LANES = (MAX_CHANNELS + THREE) * LANES  # dL/dchannels of a splat over a tile, a number a lane each
 LOOK = 8  # splats between two checks whether every pixel has stopped
 FAR, MARGIN = 1e9, np.float32(1e-3)  # pixels
 
@@ -117,8 +118,20 @@ def all_stopped(blocks, side):
     """Whether no light is left for anything more."""
     most = broadcast(-ONE)
     for b in range(strips_of(side) * blocks_of_strip(side)):
-        most = larger(most, load(floats_at(blocks, b * BLOCK + LIGHT)))
-    return not any_of(most > ZERO)
+        most = maximum(most, load(floats_at(blocks, b * BLOCK + LIGHT)))
+    return not any_lane(most > ZERO)
+
+
+@inlined
+def add_to(target, value):
+    """Adds a vector to the one at a place."""
+    store(target, load(target) + value)
+
+
+@inlined
+def raise_to(target, value):
+    """Writes the larger of a vector and the one at a place."""
+    store(target, maximum(load(target), value))
 
 
 @inlined
@@ -133,12 +146,10 @@ def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, u
         for strip in range(strips_of(side)):
             first = floats_at(blocks, strip * of_strip * BLOCK)
             dx = x - load(floats_at(first, PIXEL_X))
-            along_x, mixed = HALF * xx * dx * dx, xy * dx
             for n in range(top // ROWS, (bottom + ROWS - 1) // ROWS):
                 block = floats_at(first, n * BLOCK)
                 dy = y - load(floats_at(block, PIXEL_Y))
-                sigma = along_x + dy * (mixed + HALF * yy * dy)
-                alpha = cut_alpha(opacity * exp_minus(sigma), rules)
+                alpha = cut_alpha(opacity * exp_minus(splat_sigma(dx, dy, xx, xy, yy)), rules)
                 t = load(floats_at(block, LIGHT))
                 weight, left = blend_splat(t, alpha, rules)
                 store(floats_at(block, LIGHT), left)
@@ -155,18 +166,6 @@ def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, u
                         add_to(floats_at(block, CHANNEL + LANES * d), in_front * row[CHANNELS + d])
         if k % LOOK == LOOK - 1 and all_stopped(blocks, side):
             break
-
-
-@inlined
-def add_to(target, value):
-    """Adds a vector to the one at a place."""
-    store(target, load(target) + value)
-
-
-@inlined
-def raise_to(target, value):
-    """Writes the larger of a vector and the one at a place."""
-    store(target, larger(load(target), value))
 
 
 @inlined
@@ -227,13 +226,11 @@ def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through,
         for strip in range(strips_of(side)):
             first = floats_at(blocks, strip * of_strip * BLOCK)
             dx = x - load(floats_at(first, PIXEL_X))
-            along_x, mixed = HALF * xx * dx * dx, xy * dx
             m, my, myy, sum_r, sum_g, sum_b = zeros, zeros, zeros, zeros, zeros, zeros
             for n in range(top // ROWS, (bottom + ROWS - 1) // ROWS):
                 block = floats_at(first, n * BLOCK)
                 dy = y - load(floats_at(block, PIXEL_Y))
-                sigma = along_x + dy * (mixed + HALF * yy * dy)
-                unclamped = opacity * exp_minus(sigma)
+                unclamped = opacity * exp_minus(splat_sigma(dx, dy, xx, xy, yy))
                 alpha = where(load(floats_at(block, LATEST)) >= place, cut_alpha(unclamped, rules), ZERO)
                 d_r, d_g = load(floats_at(block, CHANNEL)), load(floats_at(block, CHANNEL + LANES))
                 d_b = load(floats_at(block, CHANNEL + 2 * LANES))

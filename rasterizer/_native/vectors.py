@@ -1,28 +1,28 @@
-"""Vectors of float32 for the loops over pixels, with Python's operators: LLVM holds each in a processor's register.
+"""Vectors of float32 for the loops over pixels, with Python's operators: LLVM holds each in registers.
 
-A number in an expression with vectors stands for a vector of equal lanes. LLVM's own search for vectors fails on short
-loops, which it unrolls into scalars.
+A float32 number in an expression with vectors stands for a vector of equal lanes. The vectors are explicit because LLVM
+finds none in short loops, which it unrolls into scalars.
 """
 
 import operator
+from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
+from numba.core.registry import cpu_target
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 
-from rasterizer._native.instructions import intrinsic
-
-LANES = 8
-CONTRACT = ("contract",)  # a product and a sum may round once
-
-
-NUMBERS = ("nnan", "nsz")
+# The width that numba compiles for: AVX-512 holds sixteen numbers; AVX2 holds eight, NEON in two registers.
+LANES = 16 if "+avx512f" in cpu_target.target_context.codegen().magic_tuple()[2] else 8
+INT, FLOAT = ir.IntType(32), ir.FloatType()
+INTS, EIGHT = ir.VectorType(INT, LANES), ir.VectorType(FLOAT, 8)
 
 
 class Vector(types.Type):
-    """LANES numbers of float32, or of one bit."""
+    """`LANES` numbers of a kind."""
 
     def __init__(self, name: str, lane: ir.Type) -> None:
         super().__init__(name)
@@ -35,237 +35,188 @@ class _VectorModel(extending.models.PrimitiveModel):
         super().__init__(manager, kind, kind.vector)
 
 
-INT = ir.IntType(32)
-FLOATS, MASK = Vector("floats", ir.FloatType()), Vector("mask", ir.IntType(1))
-INTS = ir.VectorType(INT, LANES)
+FLOATS, MASK = Vector(f"float32x{LANES}", FLOAT), Vector(f"boolx{LANES}", ir.IntType(1))
+POINTER = types.CPointer(types.float32)
 
 
-def _broadcast(builder, number):
-    """The vector of a number; a vector as it is."""
-    if isinstance(number.type, ir.VectorType):
+def _as_vector(builder, number):
+    """The vector of equal lanes of a number; anything else as it is."""
+    if number.type != FLOAT:
         return number
-    kind = ir.VectorType(number.type, LANES)
-    first = builder.insert_element(ir.Constant(kind, ir.Undefined), number, ir.Constant(INT, 0))
-    return builder.shuffle_vector(first, ir.Constant(kind, ir.Undefined), ir.Constant(INTS, [0] * LANES))
+    undefined = ir.Constant(FLOATS.vector, ir.Undefined)
+    first = builder.insert_element(undefined, number, ir.Constant(INT, 0))
+    return builder.shuffle_vector(first, undefined, ir.Constant(INTS, [0] * LANES))
 
 
-def _define_operator(function, result: Vector, operand: types.Type, emit) -> None:
-    """Gives one of Python's operators its meaning for two vectors, and for a vector and a number."""
+def _compiles_to(result: types.Type, *kinds: types.Type, key: Any = None) -> Callable[[Callable], Any]:
+    """Registers a function that emits instructions: compiled code calls it, or `key`, without the builder.
 
-    class Template(AbstractTemplate):
-        key = function
+    Args:
+        result: What compiled code receives.
+        kinds: Its arguments. A number may stand for any of the vectors, but not for all.
+        key: The operator that is given this meaning; None for the function itself.
+    """
 
-        def generic(self, args, kws):
-            if len(args) == 2 and operand in args and all(x in (operand, types.float32) for x in args):
-                return signature(result, *args)
-            return None
+    def register(emit: Callable) -> Any:
+        function = key or emit
+        combinations = list(product(*((kind, types.float32) if kind is FLOATS else (kind,) for kind in kinds)))
+        allowed = [each for each in combinations if each == kinds or set(each) != {types.float32}]
 
-    infer_global(function)(Template)
+        class Template(AbstractTemplate):
+            key = function
 
-    def lower(context, builder, sig, args):
-        return emit(builder, *(_broadcast(builder, x) for x in args))
+            def generic(self, args, kws):
+                return signature(result, *args) if tuple(args) in allowed else None
 
-    for pair in ((operand, operand), (operand, types.float32), (types.float32, operand)):
-        extending.lower_builtin(function, *pair)(lower)
+        def lower(context, builder, signature, arguments):
+            emitted = emit(builder, *(_as_vector(builder, x) for x in arguments))
+            return context.get_dummy_value() if result is types.void else emitted
+
+        infer_global(function, types.Function(Template))
+        for each in allowed:
+            extending.lower_builtin(function, *each)(lower)
+        return emit
+
+    return register
 
 
-def _arithmetic(name):
-    return lambda builder, a, b: getattr(builder, name)(a, b, flags=CONTRACT)
+def _arithmetic(name: str) -> Callable:
+    # A product and a sum may round once.
+    return lambda builder, a, b: getattr(builder, name)(a, b, flags=("contract",))
 
 
-def _comparison(symbol):
+def _comparison(symbol: str) -> Callable:
     return lambda builder, a, b: builder.fcmp_ordered(symbol, a, b)
 
 
-for _function, _name in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
-    _define_operator(_function, FLOATS, FLOATS, _arithmetic(_name))
-for _function, _symbol in ((operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="), (operator.eq, "==")):
-    _define_operator(_function, MASK, FLOATS, _comparison(_symbol))
-_define_operator(operator.and_, MASK, MASK, lambda builder, a, b: builder.and_(a, b))
-_define_operator(operator.or_, MASK, MASK, lambda builder, a, b: builder.or_(a, b))
+for _key, _name in {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}.items():
+    _compiles_to(FLOATS, FLOATS, FLOATS, key=_key)(_arithmetic(_name))
+for _symbol in ("<", "<=", ">", ">=", "=="):
+    _key = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}[_symbol]
+    _compiles_to(MASK, FLOATS, FLOATS, key=_key)(_comparison(_symbol))
+_compiles_to(FLOATS, FLOATS, key=operator.neg)(lambda builder, a: builder.fneg(a))
+_compiles_to(MASK, MASK, MASK, key=operator.and_)(lambda builder, a, b: builder.and_(a, b))
+_compiles_to(MASK, MASK, MASK, key=operator.or_)(lambda builder, a, b: builder.or_(a, b))
 
 
-@intrinsic
-def broadcast(typingctx, number):
-    """The vector of equal lanes."""
-
-    def codegen(context, builder, signature, arguments):
-        return _broadcast(builder, arguments[0])
-
-    return FLOATS(types.float32), codegen
+@_compiles_to(FLOATS, types.float32)
+def broadcast(builder, number):
+    """Return the vector of equal lanes."""
+    return number
 
 
-@intrinsic
-def load(typingctx, pointer):
-    """The vector at a place."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.load(builder.bitcast(arguments[0], FLOATS.vector.as_pointer()), align=4)
-
-    return FLOATS(pointer), codegen
+@_compiles_to(FLOATS, POINTER)
+def load(builder, pointer):
+    """Return the vector at a place."""
+    return builder.load(builder.bitcast(pointer, FLOATS.vector.as_pointer()), align=4)
 
 
-@intrinsic
-def store(typingctx, pointer, value):
-    """Writes a vector at a place."""
-
-    def codegen(context, builder, signature, arguments):
-        place = builder.bitcast(arguments[0], FLOATS.vector.as_pointer())
-        builder.store(_broadcast(builder, arguments[1]), place, align=4)
-        return context.get_dummy_value()
-
-    return types.void(pointer, value), codegen
+@_compiles_to(types.void, POINTER, FLOATS)
+def store(builder, pointer, value):
+    """Write a vector at a place."""
+    builder.store(value, builder.bitcast(pointer, FLOATS.vector.as_pointer()), align=4)
 
 
-@intrinsic
-def where(typingctx, mask, yes, no):
-    """Lane by lane, one of two."""
-
-    def codegen(context, builder, signature, arguments):
-        mask, yes, no = arguments
-        return builder.select(mask, _broadcast(builder, yes), _broadcast(builder, no))
-
-    return FLOATS(MASK, yes, no), codegen
+@_compiles_to(FLOATS, MASK, FLOATS, FLOATS)
+def where(builder, mask, one, other):
+    """Return each lane of the one where the mask holds, else of the other."""
+    return builder.select(mask, one, other)
 
 
-def _extreme(symbol):
-    @intrinsic
-    def extreme(typingctx, one, other):
-        def codegen(context, builder, signature, arguments):
-            a, b = (_broadcast(builder, x) for x in arguments)
-            # As numbers, which no vector here fails to be: or a store of the result becomes one under a mask, which
-            # takes many times as long on some processors.
-            return builder.select(builder.fcmp_ordered(symbol, a, b, flags=NUMBERS), a, b, flags=NUMBERS)
-
-        return FLOATS(one, other), codegen
-
-    return extreme
+def _extreme(builder, symbol, one, other):
+    # None is NaN wherever the result is used. Without this promise a store of the result becomes a masked store, which
+    # takes dozens of cycles on AMD processors without AVX-512.
+    flags = ("nnan", "nsz")
+    return builder.select(builder.fcmp_ordered(symbol, one, other, flags=flags), one, other, flags=flags)
 
 
-smaller, larger = _extreme("<"), _extreme(">")
+@_compiles_to(FLOATS, FLOATS, FLOATS)
+def minimum(builder, one, other):
+    """Return the smaller of two numbers, neither of which is NaN."""
+    return _extreme(builder, "<", one, other)
 
 
-def _unary(name):
-    @intrinsic
-    def unary(typingctx, value):
-        def codegen(context, builder, signature, arguments):
-            kind = FLOATS.vector
-            name_of_kind = f"llvm.{name}.v{LANES}f32"
-            function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind]), name_of_kind)
-            return builder.call(function, arguments)
-
-        return FLOATS(FLOATS), codegen
-
-    return unary
+@_compiles_to(FLOATS, FLOATS, FLOATS)
+def maximum(builder, one, other):
+    """Return the larger of two numbers, neither of which is NaN."""
+    return _extreme(builder, ">", one, other)
 
 
-@infer_global(operator.neg)
-class _Negative(AbstractTemplate):
-    def generic(self, args, kws):
-        return signature(FLOATS, FLOATS) if args == (FLOATS,) else None
+def _call(builder, name, value):
+    kind = ir.FunctionType(FLOATS.vector, [FLOATS.vector])
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32"), [value])
 
 
-@extending.lower_builtin(operator.neg, FLOATS)
-def _lower_negative(context, builder, sig, args):
-    return builder.fneg(args[0])
+@_compiles_to(FLOATS, FLOATS)
+def floor(builder, value):
+    """Return the largest whole number that is not above."""
+    return _call(builder, "floor", value)
 
 
-floor, magnitude = _unary("floor"), _unary("fabs")
+@_compiles_to(FLOATS, FLOATS)
+def absolute(builder, value):
+    """Return the absolute value."""
+    return _call(builder, "fabs", value)
 
 
-@intrinsic
-def clamp_bits(typingctx, value, limit):
-    """The value where it lies between 0 and a positive limit, else the limit: for negative numbers and NaN, too."""
-
-    def codegen(context, builder, signature, arguments):
-        # The bits of what is negative or no number are, as unsigned numbers, above those of the limit.
-        a, b = (builder.bitcast(_broadcast(builder, x), INTS) for x in arguments)
-        return builder.bitcast(builder.select(builder.icmp_unsigned("<", a, b), a, b), FLOATS.vector)
-
-    return FLOATS(FLOATS, types.float32), codegen
+@_compiles_to(FLOATS, FLOATS, FLOATS)
+def limit_bits(builder, value, limit):
+    """Return what lies in 0..limit as it is; a positive limit for all else: what is larger, negative or NaN."""
+    # Read as unsigned integers, the bits of negative numbers and of NaN are above those of positive numbers.
+    a, b = builder.bitcast(value, INTS), builder.bitcast(limit, INTS)
+    return builder.bitcast(builder.select(builder.icmp_unsigned("<", a, b), a, b), FLOATS.vector)
 
 
-@intrinsic
-def scale_by_power(typingctx, value, whole):
-    """value * 2^whole, of a whole number that leaves it normal."""
-
-    def codegen(context, builder, signature, arguments):
-        value, whole = arguments
-        exponent = builder.shl(builder.fptosi(whole, INTS), ir.Constant(INTS, [23] * LANES))
-        return builder.bitcast(builder.add(builder.bitcast(value, INTS), exponent), FLOATS.vector)
-
-    return FLOATS(FLOATS, FLOATS), codegen
+@_compiles_to(FLOATS, FLOATS, FLOATS)
+def times_power_of_two(builder, value, exponent):
+    """Return value * 2^exponent for whole exponents that keep a normal number normal."""
+    shifted = builder.shl(builder.fptosi(exponent, INTS), ir.Constant(INTS, [23] * LANES))
+    return builder.bitcast(builder.add(builder.bitcast(value, INTS), shifted), FLOATS.vector)
 
 
-@intrinsic
-def any_of(typingctx, mask):
-    """Whether the mask holds anywhere."""
-
-    def codegen(context, builder, signature, arguments):
-        bits = builder.bitcast(arguments[0], ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
-
-    return types.boolean(MASK), codegen
+@_compiles_to(types.boolean, MASK)
+def any_lane(builder, mask):
+    """Whether a mask holds anywhere."""
+    bits = ir.IntType(LANES)
+    return builder.icmp_unsigned("!=", builder.bitcast(mask, bits), ir.Constant(bits, 0))
 
 
-def _halves(builder, value):
-    count = value.type.count // 2
-    undefined = ir.Constant(value.type, ir.Undefined)
-    return [
-        builder.shuffle_vector(value, undefined, ir.Constant(ir.VectorType(INT, count), list(range(a, a + count))))
-        for a in (0, count)
-    ]
+def _shuffled(builder, one, other, lanes):
+    return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(INT, len(lanes)), lanes))
 
 
-def _add_pair(builder, a, b):
-    """Sums of neighbours: those of `a`, then those of `b`, within each four lanes as a processor's shuffle has them."""
-    lanes = a.type.count
-    undefined = ir.VectorType(INT, lanes)
-    base = [4 * q for q in range(lanes // 4)]
-    even = [x for q in base for x in (q, q + 2, lanes + q, lanes + q + 2)]
-    odd = [x for q in base for x in (q + 1, q + 3, lanes + q + 1, lanes + q + 3)]
+def _add_halves(builder, value):
+    """The vector of half as many lanes: the sum of a vector's halves."""
+    half = value.type.count // 2
+    parts = [_shuffled(builder, value, value, list(range(start, start + half))) for start in (0, half)]
+    return builder.fadd(*parts)
+
+
+def _add_neighbours(builder, one, other):
+    """Sums of neighbours of two vectors of eight lanes, where an instruction for four lanes leaves them."""
+    first = [quarter + lane for quarter in (0, 4) for lane in (0, 2, 8, 10)]
     return builder.fadd(
-        builder.shuffle_vector(a, b, ir.Constant(undefined, even)),
-        builder.shuffle_vector(a, b, ir.Constant(undefined, odd)),
+        _shuffled(builder, one, other, first), _shuffled(builder, one, other, [lane + 1 for lane in first])
     )
 
 
-def _sum_eight(builder, vectors):
-    """The vector of the sums of eight vectors of eight lanes, as a tree."""
-    pairs = [_add_pair(builder, a, b) for a, b in zip(vectors[::2], vectors[1::2], strict=True)]
-    fours = [_add_pair(builder, a, b) for a, b in zip(pairs[::2], pairs[1::2], strict=True)]
-    eight = ir.VectorType(INT, 8)
-    low = builder.shuffle_vector(*fours, ir.Constant(eight, [0, 1, 2, 3, 8, 9, 10, 11]))
-    high = builder.shuffle_vector(*fours, ir.Constant(eight, [4, 5, 6, 7, 12, 13, 14, 15]))
-    return builder.fadd(low, high)
+@_compiles_to(types.void, POINTER, types.UniTuple(FLOATS, 8))
+def add_eight_sums(builder, target, values):
+    """Add the sums of the lanes of eight vectors to eight numbers at a place: one tree for all of them."""
+    values = cgutils.unpack_tuple(builder, values, 8)
+    while values[0].type.count > 8:
+        values = [_add_halves(builder, value) for value in values]
+    while len(values) > 2:
+        values = [_add_neighbours(builder, *pair) for pair in zip(values[::2], values[1::2], strict=True)]
+    lower = _shuffled(builder, *values, [0, 1, 2, 3, 8, 9, 10, 11])
+    upper = _shuffled(builder, *values, [4, 5, 6, 7, 12, 13, 14, 15])
+    place = builder.bitcast(target, EIGHT.as_pointer())
+    builder.store(builder.fadd(builder.load(place, align=4), builder.fadd(lower, upper)), place, align=4)
 
 
-@intrinsic
-def add_eight_sums(typingctx, target, vectors):
-    """target[i] += the sum of the lanes of vectors[i], for a tuple of eight."""
-
-    def codegen(context, builder, signature, arguments):
-        values = cgutils.unpack_tuple(builder, arguments[1], 8)
-        while values[0].type.count > 8:
-            values = [builder.fadd(*_halves(builder, x)) for x in values]
-        sums = _sum_eight(builder, values)
-        place = builder.bitcast(arguments[0], sums.type.as_pointer())
-        builder.store(builder.fadd(builder.load(place, align=4), sums), place, align=4)
-        return context.get_dummy_value()
-
-    return types.void(target, vectors), codegen
-
-
-@intrinsic
-def sum_of_lanes(typingctx, value):
-    """The sum of the lanes, as a tree."""
-
-    def codegen(context, builder, signature, arguments):
-        value = arguments[0]
-        while value.type.count > 1:
-            if value.type.count == 2:
-                return builder.fadd(*(builder.extract_element(value, ir.Constant(INT, i)) for i in range(2)))
-            value = builder.fadd(*_halves(builder, value))
-        return value
-
-    return types.float32(FLOATS), codegen
+@_compiles_to(types.float32, FLOATS)
+def sum_of_lanes(builder, value):
+    """Return the sum of a vector's lanes, as a tree."""
+    while value.type.count > 2:
+        value = _add_halves(builder, value)
+    return builder.fadd(*(builder.extract_element(value, ir.Constant(INT, lane)) for lane in (0, 1)))

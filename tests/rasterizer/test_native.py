@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import extending, types
+from numba.core import cgutils
 from scenes import binned, cloud, stacks
 from tolerances import assert_close
 
@@ -24,7 +26,9 @@ from rasterizer import (
 )
 from rasterizer._native import blending as native
 from rasterizer._native import compiled
+from rasterizer._native.instructions import as_floats
 from rasterizer._native.tiles import reach_along_y, rows_reached
+from rasterizer._native.vectors import FLOATS, LANES
 
 COUNT = 512
 
@@ -39,6 +43,61 @@ def over_arrays(function, *, fixed=()):
     """The function of every row of some arrays and of what is the same for all: an array for each of its results."""
     of_row = compiled_alone(function)
     return lambda *arrays: np.array([of_row(*row, *fixed) for row in zip(*arrays, strict=True)]).T
+
+
+@extending.intrinsic
+def store_all(typingctx, pointer, values):
+    """Write a vector, or the vectors of a tuple one behind the other."""
+
+    def codegen(context, builder, signature, arguments):
+        several = isinstance(values, types.UniTuple)
+        place = builder.bitcast(arguments[0], FLOATS.vector.as_pointer())
+        for n, value in enumerate(cgutils.unpack_tuple(builder, arguments[1]) if several else arguments[1:]):
+            builder.store(value, builder.gep(place, [cgutils.int32_t(n)]), align=4)
+        return context.get_dummy_value()
+
+    return types.void(pointer, values), codegen
+
+
+@cache
+def of_vectors(function, arguments):
+    """One of the loops' functions of vectors, for Python: `[arguments, LANES]` to `[results, LANES]` float32."""
+
+    @extending.intrinsic
+    def load_all(typingctx, pointer):
+        kind = types.UniTuple(FLOATS, arguments)
+
+        def codegen(context, builder, signature, places):
+            place = builder.bitcast(places[0], FLOATS.vector.as_pointer())
+            vectors = [builder.load(builder.gep(place, [cgutils.int32_t(n)]), align=4) for n in range(arguments)]
+            return context.make_tuple(builder, kind, vectors)
+
+        return kind(pointer), codegen
+
+    @numba.njit(fastmath=compiled.FAST)
+    def of_lanes(numbers, results, fixed):
+        values = function(*(load_all(as_floats(numbers.ctypes.data)) + fixed))
+        store_all(as_floats(results.ctypes.data), values)
+
+    return of_lanes
+
+
+def over_pixels(function, results=1, fixed=()):
+    """The function of vectors, of every row of some arrays and of what is the same for all: an array for each of its results."""
+
+    def of_rows(*arrays):
+        count = len(arrays[0])
+        rows = np.zeros((len(arrays), -(-count // LANES) * LANES), np.float32)
+        rows[:, :count] = arrays
+        numbers = np.empty((results, rows.shape[1]), np.float32)
+        for start in range(0, rows.shape[1], LANES):
+            lanes = np.s_[:, start : start + LANES]
+            values = np.empty((results, LANES), np.float32)
+            of_vectors(function, len(arrays))(np.ascontiguousarray(rows[lanes]), values, tuple(fixed))
+            numbers[lanes] = values
+        return numbers[:, :count] if results > 1 else numbers[0, :count]
+
+    return of_rows
 
 
 @compiled.inlined
@@ -64,7 +123,7 @@ def states(seed):
 
 def test_the_exponential_is_right_to_a_few_roundings():
     x = np.linspace(0, 79.9, 20_001, dtype=np.float32)
-    exps_of_minus = over_arrays(native.exp_minus)
+    exps_of_minus = over_pixels(native.exp_minus)
     # The polynomial's own error, and what the exponent lost when it was multiplied: a rounding and a half of it.
     bound = 3e-7 + 1.5 * 2.0**-24 * x
     assert (np.abs(exps_of_minus(x) / np.exp(-x.astype(np.float64)) - 1) < bound).all()
@@ -79,7 +138,7 @@ def test_sigma_is_the_first_texts(seed):
     expected = np.asarray(blending.splat_sigma(*map(jnp.asarray, (dx, dy, xx, xy, yy))))
     # Contracted or not, a sum of three products is within a few roundings of the largest of them.
     largest = np.abs(xx * dx * dx) + np.abs(xy * dx * dy) + np.abs(yy * dy * dy)
-    sigma = over_arrays(native.splat_sigma)(dx, dy, xx, xy, yy)
+    sigma = over_pixels(native.splat_sigma)(dx, dy, xx, xy, yy)
     assert (np.abs(sigma - expected) <= 4e-7 * largest).all()
 
 
@@ -94,23 +153,23 @@ def test_blend_and_unblend_are_the_first_texts(rules, seed):
     unclamped = np.where(sigma >= 0, opacity * np.exp(-np.maximum(sigma, 0)), 0).astype(np.float32)
     alpha = np.asarray(blending.cut_alpha(jnp.asarray(unclamped), jnp.asarray(sigma), rules))
     weight, left = blending.blend_splat(jnp.asarray(signed_t), jnp.asarray(alpha), rules)
-    np.testing.assert_array_equal(over_arrays(native.cut_alpha, fixed=[fixed])(unclamped), alpha)
-    actual = over_arrays(native.blend_splat, fixed=[fixed])(signed_t, alpha)
+    np.testing.assert_array_equal(over_pixels(native.cut_alpha, fixed=[fixed])(unclamped), alpha)
+    actual = over_pixels(native.blend_splat, 2, fixed=[fixed])(signed_t, alpha)
     near = np.abs(t * (1 - alpha) - rules.transmittance_min) < 1e-9  # stops in one text, goes on in the other
     assert_close(actual[:, ~near], np.stack([weight, left])[:, ~near], why="contracted products", rtol=1e-6, atol=1e-7)
 
     expected = blending.front_weight(jnp.asarray(t), jnp.asarray(t * alpha), 0.2)
-    assert_close(over_arrays(native.front_weight, fixed=[level])(t, t * alpha), np.asarray(expected))
+    assert_close(over_pixels(native.front_weight, fixed=[level])(t, t * alpha), np.asarray(expected))
 
     state = [t, behind, lit, alpha, unclamped]
     expected = np.stack(blending.unblend_splat(*map(jnp.asarray, state), rules))
-    actual = over_arrays(native.unblend_splat, fixed=[fixed])(*state)
+    actual = over_pixels(native.unblend_splat, 4, fixed=[fixed])(*state)
     assert_close(actual, expected, why="t is divided by up to 0.01", rtol=1e-5, atol=1e-5)
     expected = np.stack(blending.unblend_splat(*map(jnp.asarray, state), rules, (jnp.asarray(in_front), 0.2)))
     # What counts in front jumps where a weight meets the light above the level: there either side is right.
     before = t / (1 - alpha)
     clear = np.abs(before * alpha - np.maximum(before - level, 0)) > 1e-5 * before
-    actual = over_arrays(unblend_in_front, fixed=[fixed])(*state, in_front)
+    actual = over_pixels(unblend_in_front, 4, fixed=[fixed])(*state, in_front)
     assert_close(actual[:, clear], expected[:, clear], why="t is divided by up to 0.01", rtol=1e-5, atol=1e-4)
 
 
