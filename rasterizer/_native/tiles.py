@@ -244,9 +244,7 @@ def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through,
                         lit = lit + row[CHANNELS + d] * load(floats_at(block, CHANNEL + LANES * d))
                     for d in range(through, channels):
                         lit_in_front = lit_in_front + row[CHANNELS + d] * load(floats_at(block, CHANNEL + LANES * d))
-                    d_sigma, weight, t, behind = unblend_in_front(
-                        t, behind, lit, alpha, unclamped, rules, lit_in_front
-                    )
+                    d_sigma, weight, t, behind = unblend_in_front(t, behind, lit, alpha, unclamped, rules, lit_in_front)
                     in_front = front_weight(t, weight, rules.stop_after)
                     for d in range(THREE, through):
                         add_to(floats_at(parts, LANES * d), weight * load(floats_at(block, CHANNEL + LANES * d)))

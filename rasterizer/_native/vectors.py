@@ -12,10 +12,11 @@ from typing import Any
 from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
-from numba.core.registry import cpu_target
+from numba.core.registry import cpu_target as _cpu_target
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 
-# The width that numba compiles for: AVX-512 holds sixteen numbers; AVX2 holds eight, NEON in two registers.
+cpu_target: Any = _cpu_target  # Its types know nothing of its context.
+# A register of AVX-512 holds sixteen numbers, one of AVX2 eight, two of NEON eight. numba names what it compiles for.
 LANES = 16 if "+avx512f" in cpu_target.target_context.codegen().magic_tuple()[2] else 8
 INT, FLOAT = ir.IntType(32), ir.FloatType()
 INTS, EIGHT = ir.VectorType(INT, LANES), ir.VectorType(FLOAT, 8)
@@ -207,9 +208,9 @@ def add_eight_sums(builder, target, values):
     while values[0].type.count > 8:
         values = [_add_halves(builder, value) for value in values]
     while len(values) > 2:
-        values = [_add_neighbours(builder, *pair) for pair in zip(values[::2], values[1::2], strict=True)]
-    lower = _shuffled(builder, *values, [0, 1, 2, 3, 8, 9, 10, 11])
-    upper = _shuffled(builder, *values, [4, 5, 6, 7, 12, 13, 14, 15])
+        values = [_add_neighbours(builder, values[n], values[n + 1]) for n in range(0, len(values), 2)]
+    lower = _shuffled(builder, values[0], values[1], [0, 1, 2, 3, 8, 9, 10, 11])
+    upper = _shuffled(builder, values[0], values[1], [4, 5, 6, 7, 12, 13, 14, 15])
     place = builder.bitcast(target, EIGHT.as_pointer())
     builder.store(builder.fadd(builder.load(place, align=4), builder.fadd(lower, upper)), place, align=4)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import extending, types
+from numba import types
 from numba.core import cgutils
 from scenes import binned, cloud, stacks
 from tolerances import assert_close
@@ -26,7 +26,7 @@ from rasterizer import (
 )
 from rasterizer._native import blending as native
 from rasterizer._native import compiled
-from rasterizer._native.instructions import as_floats
+from rasterizer._native.instructions import as_floats, intrinsic
 from rasterizer._native.tiles import reach_along_y, rows_reached
 from rasterizer._native.vectors import FLOATS, LANES
 
@@ -45,7 +45,7 @@ def over_arrays(function, *, fixed=()):
     return lambda *arrays: np.array([of_row(*row, *fixed) for row in zip(*arrays, strict=True)]).T
 
 
-@extending.intrinsic
+@intrinsic
 def store_all(typingctx, pointer, values):
     """Write a vector, or the vectors of a tuple one behind the other."""
 
@@ -63,7 +63,7 @@ def store_all(typingctx, pointer, values):
 def of_vectors(function, arguments):
     """One of the loops' functions of vectors, for Python: `[arguments, LANES]` to `[results, LANES]` float32."""
 
-    @extending.intrinsic
+    @intrinsic
     def load_all(typingctx, pointer):
         kind = types.UniTuple(FLOATS, arguments)
 
@@ -83,7 +83,7 @@ def of_vectors(function, arguments):
 
 
 def over_pixels(function, results=1, fixed=()):
-    """The function of vectors, of every row of some arrays and of what is the same for all: an array for each of its results."""
+    """`over_arrays` of a function of vectors, which has so many results."""
 
     def of_rows(*arrays):
         count = len(arrays[0])
