@@ -16,31 +16,44 @@ from tolerances import assert_close
 
 from rasterizer import engines
 from rasterizer._native.calls import API_MAJOR, API_MINOR
+from rasterizer._native.vectors import LANES
 
 
-def test_the_same_bits_from_call_to_call_and_with_one_thread():
-    scene = cloud()
-    first = evaluate(scene, "native")
-    for _ in range(20):
-        again = evaluate(scene, "native")
-        jax.tree.map(np.testing.assert_array_equal, (again[0], again[3]), (first[0], first[3]))
-    alone = """
+ALONE = """
 import numpy as np, sys
 sys.path.insert(0, "tests")
 from scenes import cloud, evaluate
 image, _, _, gradient = evaluate(cloud(), "native")
 np.savez(sys.argv[1], image=image, means=gradient.means, opacities=gradient.opacities)
 """
-    with_one = {**os.environ, "NPROC": "1"}
-    target = os.path.join(os.environ.get("TMPDIR", "/tmp"), f"one-thread-{os.getpid()}.npz")
-    subprocess.run([sys.executable, "-c", alone, target], check=True, env=with_one, cwd=engines_root())
-    try:
-        with np.load(target) as saved:
-            np.testing.assert_array_equal(saved["image"], first[0])
-            np.testing.assert_array_equal(saved["means"], first[3].means)
-            np.testing.assert_array_equal(saved["opacities"], first[3].opacities)
-    finally:
-        os.unlink(target)
+
+
+def evaluated_elsewhere(folder, **environment):
+    """The image and gradients of `cloud` by a process with variables of its own."""
+    target, variables = folder / "arrays.npz", {**os.environ, **environment}
+    subprocess.run([sys.executable, "-c", ALONE, str(target)], check=True, env=variables, cwd=engines_root())
+    with np.load(target) as saved:
+        return saved["image"], saved["means"], saved["opacities"]
+
+
+def test_the_same_bits_from_call_to_call_and_with_one_thread(tmp_path):
+    scene = cloud()
+    first = evaluate(scene, "native")
+    for _ in range(20):
+        again = evaluate(scene, "native")
+        jax.tree.map(np.testing.assert_array_equal, (again[0], again[3]), (first[0], first[3]))
+    expected = first[0], first[3].means, first[3].opacities
+    jax.tree.map(np.testing.assert_array_equal, evaluated_elsewhere(tmp_path, NPROC="1"), expected)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(LANES == 8, reason="the processor has no wider vectors")
+def test_vectors_of_eight_lanes_agree_with_those_of_sixteen(tmp_path):
+    narrow = {"NUMBA_CPU_NAME": "x86-64-v3", "NUMBA_CPU_FEATURES": "+avx,+avx2,+fma"}
+    image, *gradients = evaluated_elsewhere(tmp_path, **narrow)
+    expected = evaluate(cloud(), "native")
+    assert_close(image, expected[0])
+    assert_close(gradients, [expected[3].means, expected[3].opacities], kind="gradient")
 
 
 def engines_root():
