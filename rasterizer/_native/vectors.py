@@ -125,8 +125,8 @@ def where(builder, mask, one, other):
 
 
 def _extreme(builder, symbol, one, other):
-    # None is NaN wherever the result is used. Without this promise a store of the result becomes a masked store, which
-    # takes dozens of cycles on AMD processors without AVX-512.
+    # Neither is NaN where the result is used. Without this promise LLVM makes a masked store of a store of the result,
+    # with which a forward pass takes 1.3 to 1.7 times as long under AVX2.
     flags = ("nnan", "nsz")
     return builder.select(builder.fcmp_ordered(symbol, one, other, flags=flags), one, other, flags=flags)
 

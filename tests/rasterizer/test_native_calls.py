@@ -18,7 +18,6 @@ from rasterizer import engines
 from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.vectors import LANES
 
-
 ALONE = """
 import numpy as np, sys
 sys.path.insert(0, "tests")
