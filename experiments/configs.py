@@ -7,7 +7,7 @@ the nearest known one.
 from typing import Any
 
 from gsjax.config import merge, parse, to_dict
-from gsjax.presets import BALANCED, DEMO, PRESETS
+from gsjax.presets import DEMO, PRESETS
 from gsjax.settings import NONE, Rates, Settings
 
 # No effects: runs are compared by the score of the render as it is. Nothing is held back for what photos are like.
@@ -75,11 +75,12 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "photos": {"downscale": 2},
         "model": {"max_gaussians": 16_000},
         "schedule": {
-            "phases": [
-                {"name": "coarse", "steps": 300, "image_scale": 2, "density_control": True},
-                {"name": "vanilla", "steps": 900, "density_control": True},
-                {"name": "surface", "steps": 600, "weights": BALANCED["schedule"]["phases"][-1]["weights"]},
-            ]
+            "phases": {
+                "coarse": {"steps": 300},
+                "vanilla": {"steps": 900},
+                "surface": {"steps": 400},
+                "image": {"steps": 200},
+            }
         },
         "density": {"stop": 700},
     },

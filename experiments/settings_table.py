@@ -91,7 +91,7 @@ def errors(own: Scores, best: Scores) -> Scores:
 
 
 def table(config: Mapping[str, Any]) -> dict[str, Varied]:
-    """Every setting by its name; `config` is a whole one, whose last phase is that of the surface."""
+    """Every setting by its name; `config` is a whole one, with a phase `surface`."""
     return {name: Varied(values, trained) for name, values in of_training(config).items()} | {
         "surface points": Varied({f"{n:,}": {"points": n} for n in (400_000, 200_000, 100_000, 50_000)}, meshed),
         "Poisson depth": Varied({str(depth): {"depth": depth} for depth in (9, 8, 7, 6)}, meshed),
@@ -107,22 +107,23 @@ def table(config: Mapping[str, Any]) -> dict[str, Varied]:
 
 def of_training(config: Mapping[str, Any]) -> dict[str, dict[str, dict[str, Any]]]:
     """Settings of the training: by name the differences from a config, by label."""
-    *plain, surface = config["schedule"]["phases"]
+    phases = config["schedule"]["phases"]
+    at = [phase["name"] for phase in phases].index("surface")
+    plain, surface, after = phases[:at], phases[at], phases[at + 1 :]
     vanilla, steps, most = plain[-1], sum(phase["steps"] for phase in plain), config["model"]["max_gaussians"]
 
     def with_plain(factor: float) -> dict[str, Any]:
-        return {
-            "schedule": {"phases": [*({**phase, "steps": round(factor * phase["steps"])} for phase in plain), surface]}
-        }
+        longer = [{**phase, "steps": round(factor * phase["steps"])} for phase in plain]
+        return {"schedule": {"phases": [*longer, surface, *after]}}
 
     def with_surface(**difference: Any) -> dict[str, Any]:
-        return {"schedule": {"phases": [*plain, {**surface, **difference}]}}
+        return {"schedule": {"phases": [*plain, {**surface, **difference}, *after]}}
 
     def coarse(share: float) -> dict[str, Any]:
         """A share of the plain steps with photos of half the size."""
         small = round(share * steps)
         first = {**vanilla, "name": "coarse", "steps": small, "image_scale": 2}
-        return {"schedule": {"phases": [first, {**vanilla, "steps": steps - small}, surface]}}
+        return {"schedule": {"phases": [first, {**vanilla, "steps": steps - small}, surface, *after]}}
 
     def rarer(count: int) -> dict[str, Any]:
         """R in one of so many steps, and as many times as strong; terms that cost no time stay in every step."""

@@ -18,10 +18,6 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 RATES: dict[str, float] = {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2}
 """Of the presets for photos: larger than 3DGS's, whose runs are longer (experiments/results/rates.md)."""
 
-# On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
-# phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
-# (docs/deviations.md, experiments/results/mesh_terms.md).
-_SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
 _OWN: dict[str, Any] = {
     "supervision": {"normal_gate": True, "stereo_weight": 0.05},
     "effects": {"names": AUTO},
@@ -36,29 +32,36 @@ _OWN: dict[str, Any] = {
 }
 
 
-def _fast_phases(weight_of_normals: float) -> dict[str, Any]:
-    # For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view`
-    # counts pixels, of which the same way has half as many (experiments/results/price_on_photos.md).
-    terms = {"pixel_normal": weight_of_normals, "multi_view": 0.06, "photometric": 0.3}
-    phases = [
-        _phase("coarse", 900, image_scale=2, density_control=True),
-        _phase("vanilla", 200, density_control=True),
-        _phase("surface", 1000, weights=terms, surface_every=4, surface_scale=2),
+_MAPS_WEIGHT = 0.4  # of `pixel_normal`: maps add what photos do not show (experiments/results/room_stages.md)
+
+
+def _phases(coarse: int, vanilla: int, surface: int, image: int, **terms: float) -> list[dict[str, Any]]:
+    """So many steps of each phase; the surface phase may have more terms.
+
+    Surface terms see photos of half the size. The image alone ends the run: pictures are sharper, and the surface stays
+    where it is (experiments/results/room_stages.md).
+    """
+    terms = {"pixel_normal": 0.1, "multi_view": 0.06, "photometric": 0.3, **terms}
+    return [
+        _phase("coarse", coarse, image_scale=2, density_control=True),
+        _phase("vanilla", vanilla, density_control=True),
+        _phase("surface", surface, weights=terms, surface_every=4, surface_scale=2),
+        _phase("image", image, weights={"measured_depth": 0}),
     ]
-    return {"schedule": {"sh_every": 300, "phases": phases}}
 
 
 FAST = config.merge(
-    config.merge(_OWN, _fast_phases(0.1)),
+    _OWN,
     {
         "photos": {"cpu_pixels": 300_000},
         "model": {"max_gaussians": 60_000},
+        # The gradient at the means brings nothing more in so few steps (experiments/results/price_on_photos.md).
+        "schedule": {"sh_every": 300, "phases": _phases(900, 200, 700, 350)},
         "rates": {"means": 1.28e-3},
         "density": {"stop": 1000},
         "logging": {"evaluate_every": 250, "checkpoint_every": 250},
     },
 )
-FAST_WITH_MAPS = config.merge(FAST, _fast_phases(0.4))  # Maps add what photos do not say (results/room_stages.md).
 QUICK = config.merge(  # small photos and their image alone: a step takes less than half as long, one program to compile
     FAST,
     {
@@ -69,21 +72,22 @@ QUICK = config.merge(  # small photos and their image alone: a step takes less t
         "density": {"start": 30, "stop": 630, "every": 50},
     },
 )
-
-
-def _full_size(gaussians: int, sh_every: int, coarse: int, vanilla: int, surface: int, density: dict[str, int]) -> dict:
-    """Photos of full size, in phases of so many steps."""
-    phases = [
-        _phase("coarse", coarse, image_scale=2, density_control=True),
-        _phase("vanilla", vanilla, density_control=True),
-        _phase("surface", surface, weights=_SURFACE_TERMS),
-    ]
-    own = {"model": {"max_gaussians": gaussians}, "schedule": {"sh_every": sh_every, "phases": phases}}
-    return config.merge(_OWN, {**own, "density": density})
-
-
-BALANCED = _full_size(120_000, 700, 1000, 5000, 2000, {"stop": 3600})
-ACCURATE = _full_size(300_000, 1300, 1900, 9350, 3750, {"start": 100, "stop": 6700})  # as many steps as the paper's
+BALANCED = config.merge(
+    _OWN,
+    {
+        "model": {"max_gaussians": 120_000},
+        "schedule": {"sh_every": 700, "phases": _phases(1500, 1500, 2500, 1500, sdf_normal=0.05)},
+        "density": {"stop": 2700},
+    },
+)
+ACCURATE = config.merge(
+    _OWN,
+    {
+        "model": {"max_gaussians": 300_000},
+        "schedule": {"sh_every": 1300, "phases": _phases(2500, 3500, 5000, 4000, sdf_normal=0.05)},
+        "density": {"start": 100, "stop": 5400},
+    },
+)
 
 
 def _of_the_paper(surface_steps: int) -> dict[str, Any]:
@@ -158,8 +162,12 @@ LENGTHS = ("quick", "fast", "balanced", "accurate")
 
 
 def table(name: str, *, with_maps: bool) -> dict[str, Any]:
-    """The table of a preset. With normal maps, the normal term of `fast` weighs more."""
-    return FAST_WITH_MAPS if with_maps and name == "fast" else PRESETS[name]
+    """The table of a preset. With normal maps, `pixel_normal` weighs more in the presets for photos."""
+    if not with_maps or name not in LENGTHS or name == "quick":
+        return PRESETS[name]
+    return config.merge(
+        PRESETS[name], {"schedule": {"phases": {"surface": {"weights": {"pixel_normal": _MAPS_WEIGHT}}}}}
+    )
 
 
 def settings_of(name: str, parse: Callable[[Mapping[str, Any]], Settings]) -> Settings:

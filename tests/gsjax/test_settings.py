@@ -33,8 +33,14 @@ from gsjax.settings import (
 def test_every_preset_is_a_valid_difference_that_survives_a_round_trip(name):
     settings = parse(Settings, PRESETS[name])
     assert parse(Settings, to_dict(settings)) == settings
-    r = {"sdf_normal", "pixel_normal"} & settings.schedule.phases[-1].weights.keys()
-    assert bool(r) == (name != "quick")  # which has no time for a surface
+    with_r = [phase.name for phase in settings.schedule.phases if {"sdf_normal", "pixel_normal"} & phase.weights.keys()]
+    assert with_r == ([] if name == "quick" else ["surface"])  # `quick` has no time for a surface.
+
+
+@pytest.mark.parametrize("name", LENGTHS[1:])
+def test_presets_for_photos_end_with_the_image_alone(name):
+    last = preset(name).schedule.phases[-1].weights
+    assert {term for term, weight in last.items() if weight} == {"l1", "dssim", "alpha"}
 
 
 def test_each_of_the_lengths_is_longer_than_the_one_before_and_none_than_the_papers():
@@ -88,13 +94,14 @@ def weight_of_normals(settings):
     return settings.schedule.phases[2].weights["pixel_normal"]
 
 
-def test_normal_maps_weigh_more_in_fast_than_what_the_photos_say_themselves():
-    with_maps = preset("fast", {"supervision": {"normals": "maps"}})
-    assert (weight_of_normals(preset("fast")), weight_of_normals(with_maps)) == (0.1, 0.4)
+def test_normal_maps_weigh_more_than_the_normals_of_the_photos_themselves():
+    for name in LENGTHS[1:]:
+        with_maps = preset(name, {"supervision": {"normals": "maps"}})
+        assert (weight_of_normals(preset(name)), weight_of_normals(with_maps)) == (0.1, 0.4)
     own = [{"name": "a", "steps": 1, "weights": {"pixel_normal": 0.2}}]
     changes = {"supervision": {"normals": "maps"}, "schedule": {"phases": own}}
     assert preset("fast", changes).schedule.phases[0].weights["pixel_normal"] == 0.2
-    for name in PRESETS.keys() - {"fast"}:
+    for name in PRESETS.keys() - set(LENGTHS[1:]):
         assert preset(name, {"supervision": {"normals": "maps"}}).schedule == preset(name).schedule
 
 

@@ -119,7 +119,7 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["exposure"] == ["simulated", "0.31 EV", "0.02 EV", "0.05 EV", "a<b"]
     assert page.cells["blur"] == ["no", "-", "-", "0.05 EV", "a<b"]
     terms = "l1 0.8, dssim 0.2, pixel_normal 0.1, multi_view 0.06, photometric 0.3, measured_depth 0.05, alpha 0.1"
-    assert page.cells["surface"] == ["1,000", terms]
+    assert page.cells["surface"] == ["700", terms]
     assert page.cells["schedule.phases.2.weights.pixel_normal"] == ["0.1"]
     manifest = json_files.read(run / "manifest.json")
     assert page.cells["jax"] == [manifest["versions"]["jax"]] and page.cells["cpu"] == [manifest["machine"]["cpu"]]
@@ -156,7 +156,7 @@ def test_work_that_is_done_is_not_lost_where_the_report_cannot_be_written(run, c
 
 def test_a_run_that_is_not_finished_shows_what_there_is(tmp_path):
     page = Page(report(made_run(tmp_path / "run", done=False)))
-    assert page.cells["State"] == ["not finished: 150 of 2,100 steps logged"]
+    assert page.cells["State"] == ["not finished: 150 of 2,150 steps logged"]
     assert not page.pictures and page.lines
     runs.create(tmp_path / "begun", json_files.read(tmp_path / "run/config.json"), scene=tmp_path, seed=0)
     assert not Page(report(tmp_path / "begun")).lines
