@@ -1,178 +1,210 @@
-"""What does accuracy cost in time? Every setting that trades one for the other, in one table and one picture.
+"""What does accuracy cost in time? The presets on some scenes and seeds, and plain 3DGS with the steps of each.
 
-    python experiments/accuracy_vs_time.py --scene SCENE --out DIR [--config NAME] [--settings NAME ...]
-        [--rounds N] [--share S]
+    python experiments/accuracy_vs_time.py --out DIR --scene NAME=PATH[@DOWNSCALE] ... [--seeds N] [--presets ...]
 
-SCENE is a data set, such as the built-in one of `gsjax demo`. In every round every value of a setting is run once, in
-turn. The time of a value is a multiple of that of the most accurate value in the same round; its errors are the
-differences from the scores of that value. The most accurate value is run twice a round: the difference of its two times
-is that of the machine. Writes DIR/accuracy_vs_time.md and .png after every setting. Called again it resumes after the
-last whole round.
+Trains, meshes and scores one run after another, seed by seed. A run of the scene `room` is also compared with the depth
+sensor (`room.py`), one of a scene with a true surface with that. Every run becomes a row of
+`results/accuracy_vs_time.json`. A row that is there is not run again; rows of another version of the product are
+dropped. Redraws `docs/assets/accuracy_vs_time.png` and prints the table of `docs/accuracy_vs_time.md`.
 """
 
 import argparse
+import json
+import resource
+import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from train import claim, load_settings
 
 from gsjax.cli import run_guarded
-from gsjax.errors import InputError
 from gsjax.io import json_files
+from gsjax.io.files import atomic_path
+from gsjax.report.tables import align_columns
 
-AGAIN = "the same again"
+ROOT = Path(__file__).parents[1]
+RESULTS, PICTURE = ROOT / "experiments/results/accuracy_vs_time.json", ROOT / "docs/assets/accuracy_vs_time.png"
+PRESETS = "quick", "fast", "balanced"
+PLAIN = "vanilla"  # 3DGS: the image terms alone, without stereo
+SURFACE = {"f5": "F at 5 cm", "chamfer": "Chamfer distance, 1e-3"}
+HEADS = "Scene", "Preset", "Normals", "Steps; Gaussians", "Processor seconds", "PSNR", "SSIM", "Mesh normals", "Surface"
 
-Rounds = list[dict[str, dict[str, Any]]]
-"""A round: label -> `seconds` and `errors` (by unit), the most accurate first, and `AGAIN`."""
-
-
-def run(
-    scene: str, out: str, names: Sequence[str], rounds: int, share: float, config: str = "built_in"
-) -> dict[str, Rounds]:
-    """Measures the rounds of the named settings (all where none is named) that are left; returns all by setting."""
-    import settings_table
-
-    from gsjax.config import to_dict
-
-    whole = to_dict(load_settings(config))
-    table = settings_table.table(whole)
-    if unknown := [name for name in names if name not in table]:
-        raise InputError(f"--settings: no setting {unknown[0]!r}; there are {', '.join(table)}")
-    claim(Path(out), {"scene": str(Path(scene).resolve()), "config": config, "share": share})
-    place, ledger = settings_table.Place(scene, out, whole, share), Path(out) / "rounds.json"
-    done: dict[str, Rounds] = json_files.read(ledger) if ledger.exists() else {}
-    for name in names or table:
-        while len(done.setdefault(name, [])) < rounds:
-            print(f"== {name}, round {len(done[name]) + 1} of {rounds}", flush=True)
-            done[name].append(one_round(table[name], place, len(done[name])))
-            json_files.write(ledger, done)
-        write(Path(out), {setting: each for setting, each in done.items() if each})
-    return done
+Row = dict[str, Any]
 
 
-def one_round(setting: Any, place: Any, index: int) -> dict[str, dict[str, Any]]:
-    """Every value once and the most accurate twice, in an order that turns from round to round."""
-    from settings_table import errors
-
-    first = next(iter(setting.values))
-    values = {**setting.values, AGAIN: setting.values[first]}
-    labels = list(values)
-    order = labels[index % len(labels) :] + labels[: index % len(labels)]
-    measured = {label: setting.measure(place, values[label], index) for label in order}
-    best = measured[first][1]
-    return {label: {"seconds": measured[label][0], "errors": errors(measured[label][1], best)} for label in labels}
-
-
-def ratios(rounds: Rounds, label: str) -> np.ndarray:
-    """`[rounds]` times of a value as multiples of the most accurate one's."""
-    first = next(iter(rounds[0]))
-    return np.array([each[label]["seconds"] / each[first]["seconds"] for each in rounds])
-
-
-def errors(rounds: Rounds, label: str, unit: str) -> np.ndarray:
-    """`[rounds]` errors of a value."""
-    return np.array([each[label]["errors"][unit] for each in rounds], float)
+def run(out: Path, scenes: Mapping[str, str], seeds: int, presets: Sequence[str]) -> list[Row]:
+    """Run what is left; return the rows of all runs."""
+    version = _version()
+    before = json_files.read(RESULTS) if RESULTS.exists() else {}
+    rows: list[Row] = before["rows"] if before.get("version") == version else []
+    known = {_key(row) for row in rows}
+    for seed in range(seeds):
+        for name, path in scenes.items():
+            for preset in presets:
+                for method in (preset,) if preset == "quick" else (preset, PLAIN):
+                    if (name, preset, method, seed) in known:
+                        continue
+                    print(f"== {name}, {method} with the steps of {preset}, seed {seed}", flush=True)
+                    row = measured(out / f"{name}_{preset}_{method}_{seed}", path, preset, method, seed)
+                    rows.append({"scene": name, "preset": preset, "method": method, "seed": seed, **row})
+                    _write(rows, version)
+    return rows
 
 
-def on_front(points: Sequence[tuple[float, float]]) -> list[bool]:
-    """Which of some (time, error) no other beats in one without losing in the other."""
-    return [
-        not any((t <= time and e <= error) and (t < time or e < error) for t, e in points) for time, error in points
-    ]
+def _key(row: Row) -> tuple[Any, ...]:
+    return row["scene"], row["preset"], row["method"], row["seed"]
 
 
-def table(done: Mapping[str, Rounds]) -> str:
-    """One Markdown table: median and, in brackets, least and most over the rounds."""
+def _version() -> str:
+    """The product's content, whatever the pages say."""
+    trees = subprocess.run(
+        ["git", "rev-parse", "HEAD:gsjax", "HEAD:rasterizer"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return "+".join(each[:8] for each in trees.stdout.split())
+
+
+def measured(folder: Path, scene: str, preset: str, method: str, seed: int) -> Row:
+    """Train, mesh and score one run.
+
+    Its time is the processor's for the whole training command, without compilations, as other programs come and go.
+    """
+    plain = ["schedule.vanilla=true", "supervision.stereo_weight=0"] if method == PLAIN else []
+    path, _, downscale = scene.partition("@")
+    settings = ["--downscale", downscale or "1", "--set", f"seed={seed}", *plain]
+    before = _processor_seconds()
+    _gsjax("train", path, "--out", str(folder), "--preset", preset, *settings)
+    seconds = _processor_seconds() - before
+    _gsjax("mesh", str(folder), "--out", str(folder / "mesh.ply"), "--method", "tsdf")
+    _gsjax("eval", str(folder), "--mesh", str(folder / "mesh.ply"), "--json", str(folder / "eval.json"))
+    steps = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    compiled = sum(each["seconds"] for step in steps for each in step.get("compiled", ()))
+    scores = json_files.read(folder / "eval.json")
+    row = {
+        "processor_seconds": seconds - compiled,
+        "compilation_seconds": compiled,
+        "steps": scores["steps"],
+        "gaussians": scores["gaussians"],
+        "psnr": scores.get("psnr_near_gains", scores["psnr"]),
+        "ssim": scores.get("ssim_near_gains", scores["ssim"]),
+    }
+    return row | _surface(folder, scores)
+
+
+def _processor_seconds() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _surface(folder: Path, scores: Mapping[str, Any]) -> Row:
+    import room
+
+    if "chamfer" in scores:
+        return {"chamfer": 1e3 * scores["chamfer"], "mesh_normals": scores["mesh_normal_error_deg"]}
+    if not folder.name.startswith("room"):
+        return {}
+    figures = next(iter(room.run([str(folder)], str(ROOT.parent / "shared/data/room")).values()))
+    return {"f5": figures["F5"], "mesh_normals": figures["normal_error_deg"]}
+
+
+def _gsjax(*arguments: str) -> None:
+    subprocess.run([sys.executable, "-m", "gsjax", *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def _write(rows: list[Row], version: str) -> None:
     from gsjax.io.machine import machine, versions
 
-    lines = ["| Setting | Value | Time | Errors | Front |", "|---|---|---|---|---|"]
-    for name, rounds in done.items():
-        labels, units = list(rounds[0]), list(next(iter(rounds[0].values()))["errors"])
-        plain = [label for label in labels if label != AGAIN]
-        points = [(np.median(ratios(rounds, x)), np.median(errors(rounds, x, units[0]))) for x in plain]
-        front = dict(zip(plain, on_front(points), strict=True))
-        for label in labels:
-            every = "; ".join(f"{unit}: {_spread(errors(rounds, label, unit))}" for unit in units)
-            mark = "yes" if front.get(label) else ""
-            lines.append(f"| {name} | {label} | {_spread(ratios(rounds, label))} | {every} | {mark} |")
-    about = {**machine(), **versions()}
-    environment = ", ".join(f"{key} {about[key]}" for key in ("cpu", "cores", "jax", "commit") if about.get(key))
-    most = max(len(rounds) for rounds in done.values())
-    return "\n".join([*lines, "", f"Up to {most} rounds; seconds as ratios within a round; {environment}.", ""])
+    json_files.write(RESULTS, {"version": version, "machine": machine(), "versions": versions(), "rows": rows})
 
 
-def _spread(values: np.ndarray) -> str:
-    return f"{np.median(values):.3g} [{values.min():.3g} {values.max():.3g}]"
+def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
+    """Rows of all seeds by scene, preset and method."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["scene"], row["preset"], row["method"]), []).append(row)
+    return groups
 
 
-def write(out: Path, done: Mapping[str, Rounds]) -> None:
-    """The table and the picture, replaced."""
-    from gsjax.io.files import atomic_path
+def table(rows: Sequence[Row]) -> str:
+    """The Markdown table: means over seeds, and half of the range from least to most."""
+    lines = []
+    for (scene, preset, method), group in grouped(rows).items():
+        first, is_plain = group[0], method == PLAIN
+        normals = "none" if is_plain or preset == "quick" else "self-supervised"
+        kind = next((each for each in SURFACE if each in first), None)
+        lines.append(
+            [
+                f"*{scene}*",
+                f"vanilla 3DGS, steps of `{preset}`" if is_plain else f"`{preset}`",
+                normals,
+                f"{first['steps']:,}; {first['gaussians']:,}",
+                spread(group, "processor_seconds", 0),
+                spread(group, "psnr", 2, " dB"),
+                spread(group, "ssim", 3),
+                spread(group, "mesh_normals", 1, " deg") if "mesh_normals" in first else "",
+                f"{SURFACE[kind].split(',')[0]} {spread(group, kind, 3 if kind == 'f5' else 2)}" if kind else "",
+            ]
+        )
+    text = [list(HEADS), ["---"] * len(HEADS), *lines]
+    return "\n".join(f"| {' | '.join(line)} |" for line in text) + "\n"
 
-    with atomic_path(out / "accuracy_vs_time.md") as temporary:
-        temporary.write_text(table(done))
-    with atomic_path(out / "accuracy_vs_time.png") as temporary:
-        draw(temporary, done)
+
+def spread(rows: Sequence[Row], name: str, digits: int, unit: str = "") -> str:
+    """Mean over seeds and half of the range, in words."""
+    values = np.array([row[name] for row in rows], float)
+    half = f" +-{np.ptp(values) / 2:.{digits}f}" if len(values) > 1 else ""
+    return f"{values.mean():.{digits}f}{half}{unit}"
 
 
-def draw(file: Path, done: Mapping[str, Rounds]) -> None:
-    """A panel a setting: first error against time, with the spread of both; the front is joined by a line."""
+def draw(rows: Sequence[Row], file: Path) -> None:
+    """Seconds against PSNR, and against the surface's score; a colour a scene, a line a method, a dot a seed."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    columns = min(4, len(done))
-    rows = -(-len(done) // columns)
-    figure, panels = pyplot.subplots(rows, columns, figsize=(3.6 * columns, 3.1 * rows), squeeze=False)
-    for panel in panels.flat[len(done) :]:
-        panel.axis("off")
-    for panel, (name, rounds) in zip(panels.flat, done.items(), strict=False):
-        unit = next(iter(next(iter(rounds[0].values()))["errors"]))
-        labels = [label for label in rounds[0] if label != AGAIN]
-        times = np.array([ratios(rounds, label) for label in labels])
-        off = np.array([errors(rounds, label, unit) for label in labels])
-        x, y = np.median(times, 1), np.median(off, 1)
-        panel.axvspan(ratios(rounds, AGAIN).min(), ratios(rounds, AGAIN).max(), color="0.9", zorder=0)
-        panel.errorbar(x, y, xerr=_arms(times, x), yerr=_arms(off, y), fmt="o", color="0.35", ms=4, lw=0.8, capsize=2)
-        front = [i for i, is_on in enumerate(on_front(list(zip(x, y, strict=True)))) if is_on]
-        front.sort(key=lambda i: x[i])
-        panel.plot(x[front], y[front], "-", color="tab:red", lw=1.2, zorder=1)
-        for turn, i in enumerate(np.lexsort((y, x))):
-            # Above and below in turn: neighbours along the axis of time do not write over each other.
-            beside = {"xytext": (4, 4)} if turn % 2 == 0 else {"xytext": (4, -4), "va": "top"}
-            panel.annotate(labels[i], (x[i], y[i]), textcoords="offset points", fontsize=7, **beside)
-        panel.set_title(name, fontsize=9)
-        panel.set_xlabel("time, of the most accurate", fontsize=7)
-        panel.set_ylabel(unit, fontsize=7)
-        panel.tick_params(labelsize=7)
-        panel.margins(0.18)
+    figure, panels = pyplot.subplots(1, 2, figsize=(9.5, 4.2))
+    for panel, names in zip(panels, (("psnr",), tuple(SURFACE)), strict=True):
+        for color, scene in enumerate(dict.fromkeys(row["scene"] for row in rows)):
+            for label, is_plain, style in (("presets", False, "o-"), ("vanilla 3DGS", True, "s:")):
+                if points := _points([row for row in rows if row["scene"] == scene], is_plain, names):
+                    panel.plot(*np.concatenate(points).T, style[0], ms=4, color=f"C{color}")
+                    means = np.transpose([each.mean(axis=0) for each in points])
+                    panel.plot(*means, style[1:], color=f"C{color}", label=f"{scene}, {label}")
+        panel.set_xscale("log")
+        panel.set_xlabel("processor seconds of training")
+        panel.legend(fontsize=8)
+    panels[0].set_ylabel("held-out PSNR, exposure-corrected, dB")
+    panels[1].set_ylabel(" / ".join(SURFACE[name] for name in SURFACE if any(name in row for row in rows)))
     figure.tight_layout()
-    figure.savefig(file, dpi=110, format="png")
+    with atomic_path(file) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
     pyplot.close(figure)
 
 
-def _arms(values: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    return np.stack([middle - values.min(1), values.max(1) - middle])
+def _points(rows: Sequence[Row], is_plain: bool, names: Sequence[str]) -> list[np.ndarray]:
+    """Of every preset, `[S, 2]` seconds and the score of that name which the rows have."""
+    points: dict[str, list[tuple[float, float]]] = {}
+    for row in rows:
+        for name in names:
+            if name in row and (row["method"] == PLAIN) == is_plain:
+                points.setdefault(row["preset"], []).append((row["processor_seconds"], row[name]))
+    return [np.array(each) for each in points.values()]
 
 
 def main() -> None:
-    """Reads the arguments, measures, and prints the table."""
+    """Read the arguments, measure, draw, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scene", required=True, help="folder of the data set")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for runs, table and picture")
-    parser.add_argument(
-        "--config", default="built_in", metavar="NAME", help="of configs.py, to vary (default: built_in)"
-    )
-    parser.add_argument("--settings", nargs="+", default=[], metavar="NAME", help="those to vary (default: all)")
-    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of every setting (default: 3)")
-    parser.add_argument("--share", type=float, default=1.0, help="of the config's steps, in every run (default: 1)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for the runs")
+    parser.add_argument("--scene", nargs="+", required=True, metavar="NAME=PATH[@DOWNSCALE]", help="data sets")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="of every run (default: 3)")
+    parser.add_argument("--presets", nargs="+", default=PRESETS, metavar="NAME", help=f"default: {' '.join(PRESETS)}")
     arguments = parser.parse_args()
-    options = arguments.settings, arguments.rounds, arguments.share, arguments.config
-    print(table(run(arguments.scene, arguments.out, *options)))
+    scenes = dict(each.split("=", 1) for each in arguments.scene)
+    rows = run(arguments.out, scenes, arguments.seeds, arguments.presets)
+    draw(rows, PICTURE)
+    print(align_columns([line.strip("| ").split(" | ") for line in table(rows).splitlines()]))
 
 
 if __name__ == "__main__":

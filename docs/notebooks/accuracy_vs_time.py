@@ -151,6 +151,5 @@ assert np.median(times["15 steps"]) < 1
 assert lost["15 steps"] > lost["30 steps"] > 0
 
 # %% [markdown]
-# Every setting of the library is measured in this way by `experiments/accuracy_vs_time.py`, on the built-in scene with
-# its true normals and surface; its tables are
-# [what accuracy costs in time](../accuracy_vs_time.md).
+# `python experiments/compare.py settings` varies the settings of the demo in this way, with its true normals and
+# surface; its tables are [what accuracy costs in time](../accuracy_vs_time.md).

@@ -102,6 +102,6 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
     costs = costs_on(on)
     methods = {name: Method(costs[name], weights) for name, weights in WEIGHTS.items()}
     rarer = Method(costs["ours, pixel_normal"], {"pixel_normal": 0.2}, every=4)
-    return at_equal_time(
-        config["schedule"]["phases"], {**methods, "ours, pixel_normal in every 4th step": rarer}, costs[MIX]
-    )
+    phases = config["schedule"]["phases"]
+    upto_surface = phases[: [phase["name"] for phase in phases].index("surface") + 1]
+    return at_equal_time(upto_surface, {**methods, "ours, pixel_normal in every 4th step": rarer}, costs[MIX])

@@ -1,0 +1,42 @@
+"""What does each setting trade, accuracy for time?
+
+    python experiments/compare.py settings --scene runs/demo/scene --out DIR --seeds 3
+
+One setting is changed at a time, from those of the demo, with true normals.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+ON = "demo"
+
+
+def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
+    """The default and what differs from it, by name."""
+    phases, gaussians = config["schedule"]["phases"], config["model"]["max_gaussians"]
+
+    def steps(factor: float) -> dict[str, Any]:
+        longer = {phase["name"]: {"steps": round(factor * phase["steps"])} for phase in phases}
+        density = {name: round(factor * config["density"][name]) for name in ("start", "stop", "every")}
+        return {"schedule": {"phases": longer}, "density": density}
+
+    def surface(**difference: Any) -> dict[str, Any]:
+        return {"schedule": {"phases": {"surface": difference}}}
+
+    changes = {
+        "default": {},
+        "half of the Gaussians": {"model": {"max_gaussians": gaussians // 2}},
+        "twice the Gaussians": {"model": {"max_gaussians": 2 * gaussians}},
+        "half of the steps": steps(0.5),
+        "twice the steps": steps(2),
+        "harmonics of degree 1": {"model": {"sh_degree": 1}},
+        "harmonics of degree 3": {"model": {"sh_degree": 3}},
+        "3DGS's densification": {"density": {"rule": "adc"}},
+        "surface terms in every step": surface(surface_every=1),
+        "surface terms at half size": surface(surface_scale=2),
+        "no surface terms": {"schedule": {"vanilla": True}},
+        "depth of the splats' planes": {"model": {"depth_mode": "plane"}},
+        "pixels without the mip filter": {"model": {"pixel_filter": "classic"}},
+    }
+    true_normals = {"supervision": {"normals": "{scene}/normals"}}
+    return {name: change | true_normals for name, change in changes.items()}
