@@ -1,0 +1,171 @@
+"""From which strength are effects detected? Effects are put into the photos of clean scenes, and diagnosed.
+
+    python experiments/effect_detection.py --scene NAME=PATH[@DOWNSCALE] ... [--seeds N]
+
+Every effect has some strengths, the first of which is 0; a detection without the effect is a false positive. The scenes
+should have none of the effects. Writes `results/effect_detection.json` and the curves,
+`docs/assets/effect_detection.png`, and prints the table. Nothing is trained: `auto` also validates what is proposed.
+"""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from tqdm import tqdm
+
+from gsjax.cli import run_guarded
+from gsjax.io import json_files
+from gsjax.io.files import atomic_path
+from gsjax.report.tables import align_columns
+
+ROOT = Path(__file__).parents[1]
+RESULTS, PICTURE = ROOT / "experiments/results/effect_detection.json", ROOT / "docs/assets/effect_detection.png"
+
+Change = Callable[[Any, float, np.random.Generator], Any]
+"""(frame, strength, random numbers of its own) -> the frame with the effect."""
+
+
+class Injected(NamedTuple):
+    """An effect that is put into photos."""
+
+    unit: str
+    strengths: tuple[float, ...]
+    change: Change
+
+
+def with_image(frame: Any, change: Callable[[np.ndarray], np.ndarray]) -> Any:
+    """A frame whose `[H, W, 3]` image, linear light in 0 to 1, is changed."""
+    from gsjax.scene import with_pixels
+    from gsjax.scene.colors import linear_to_srgb, shares, srgb_to_linear, to_bytes
+
+    pixels = frame.pixels()
+    light = np.clip(change(srgb_to_linear(shares(pixels.image))), 0, 1)
+    return with_pixels(frame, pixels._replace(image=np.asarray(to_bytes(linear_to_srgb(light)))))
+
+
+def expose(frame: Any, strength: float, rng: np.random.Generator) -> Any:
+    """Another exposure, log-normal between photos; none is brighter, so that nothing is clipped."""
+    gain = 2.0 ** -abs(strength * rng.normal())
+    return with_image(frame, lambda light: light * gain)
+
+
+def darken_corners(frame: Any, strength: float, rng: np.random.Generator) -> Any:
+    """Light that falls with the square of the distance from the middle, by `strength` EV in the corners."""
+    y, x = np.mgrid[: frame.height, : frame.width] + 0.5
+    radius2 = (x - frame.width / 2) ** 2 + (y - frame.height / 2) ** 2
+    fall = 2.0 ** (-strength * radius2 / radius2.max())
+    return with_image(frame, lambda light: light * fall[..., None])
+
+
+def turn(frame: Any, strength: float, rng: np.random.Generator) -> Any:
+    """A camera that is turned by so many pixels about each of its axes, standard deviation."""
+    rotation = Rotation.from_rotvec(strength / frame.K[0, 0] * rng.normal(size=3)).as_matrix()
+    viewmat = frame.viewmat.copy()
+    viewmat[:3] = rotation @ viewmat[:3]
+    return replace(frame, viewmat=viewmat.astype(np.float32))
+
+
+def blur(frame: Any, strength: float, rng: np.random.Generator) -> Any:
+    """A fifth of the photos, blurred by a Gaussian of `strength` pixels."""
+    from gsjax.io.images import cv2
+
+    if rng.uniform() > 0.2 or not strength:
+        return frame
+    return with_image(frame, lambda light: cv2.GaussianBlur(light, (0, 0), strength))
+
+
+INJECTED = {
+    "exposure": Injected("EV between photos", (0, 0.02, 0.05, 0.1, 0.2, 0.4), expose),
+    "vignetting": Injected("EV in the corners", (0, 0.05, 0.1, 0.2, 0.4, 0.8), darken_corners),
+    "poses": Injected("pixels", (0, 0.1, 0.2, 0.4, 0.8, 1.6), turn),
+    "blur": Injected("pixels", (0, 0.5, 1, 1.5, 2, 3), blur),
+}
+
+
+def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
+    """A row for every scene, effect, strength and seed, with the names of the effects that are detected."""
+    from gsjax.io.scenes import load_scene
+    from gsjax.planning.effects import diagnose_scene
+
+    jobs = [
+        (name, effect, strength, seed)
+        for name in scenes
+        for effect, each in INJECTED.items()
+        for strength in each.strengths
+        for seed in range(seeds if strength else 1)
+    ]
+    rows, loaded = [], {}
+    for name, effect, strength, seed in tqdm(jobs, desc="diagnoses", unit="scene"):
+        path, _, downscale = scenes[name].partition("@")
+        scene = loaded.setdefault(name, load_scene(path, downscale=float(downscale or 1)))
+        streams = np.random.default_rng([seed, *effect.encode()]).spawn(len(scene.frames))
+        frames = [
+            INJECTED[effect].change(frame, strength, rng) for frame, rng in zip(scene.frames, streams, strict=True)
+        ]
+        effects = diagnose_scene(replace(scene, frames=tuple(frames))).record()["effects"]
+        detected = [each for each, evidence in effects.items() if evidence["on"]]
+        rows.append({"scene": name, "effect": effect, "strength": strength, "seed": seed, "detected": detected})
+    return rows
+
+
+def detections(rows: Sequence[Mapping[str, Any]], effect: str) -> dict[float, tuple[int, int]]:
+    """By strength, in how many of so many rows the effect that was put in is detected."""
+    counts: dict[float, tuple[int, int]] = {}
+    for row in rows:
+        if row["effect"] == effect:
+            found, every = counts.get(row["strength"], (0, 0))
+            counts[row["strength"]] = found + (effect in row["detected"]), every + 1
+    return counts
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """A row an effect: detections by strength, and which other effects were detected instead or as well."""
+    text = [["Effect", "Unit", "Detections by strength", "Other effects that were detected"]]
+    for effect, each in INJECTED.items():
+        shares = "; ".join(f"{strength:g}: {n} of {of}" for strength, (n, of) in detections(rows, effect).items())
+        others = Counter(name for row in rows if row["effect"] == effect for name in row["detected"] if name != effect)
+        text.append([effect, each.unit, shares, ", ".join(f"{name} {n}" for name, n in others.items()) or "none"])
+    return text
+
+
+def draw(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
+    """A panel an effect: the share of the scenes in which it is detected, against its strength."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panels = pyplot.subplots(1, len(INJECTED), figsize=(3 * len(INJECTED), 2.8), sharey=True)
+    for panel, (effect, each) in zip(panels, INJECTED.items(), strict=True):
+        counts = detections(rows, effect)
+        panel.plot(list(counts), [100 * found / of for found, of in counts.values()], "o-")
+        panel.set(title=effect, xlabel=each.unit)
+    panels[0].set_ylabel("detected, % of the scenes")
+    figure.tight_layout()
+    with atomic_path(file) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
+    pyplot.close(figure)
+
+
+def main() -> None:
+    """Read the arguments, diagnose, draw, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", nargs="+", required=True, metavar="NAME=PATH[@DOWNSCALE]", help="clean data sets")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="of every strength (default: 3)")
+    arguments = parser.parse_args()
+    rows = run(dict(each.split("=", 1) for each in arguments.scene), arguments.seeds)
+    from gsjax.io.machine import machine, versions
+
+    json_files.write(RESULTS, {"machine": machine(), "versions": versions(), "rows": rows})
+    draw(rows, PICTURE)
+    print(align_columns(table(rows)))
+
+
+if __name__ == "__main__":
+    sys.exit(run_guarded(main))
