@@ -22,7 +22,6 @@ import numpy as np
 from gsjax.cli import run_guarded
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
-from gsjax.report.tables import align_columns
 
 ROOT = Path(__file__).parents[1]
 RESULTS, PICTURE = ROOT / "experiments/results/accuracy_vs_time.json", ROOT / "docs/assets/accuracy_vs_time.png"
@@ -126,8 +125,8 @@ def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
     return groups
 
 
-def table(rows: Sequence[Row]) -> str:
-    """The Markdown table: means over seeds, and half of the range from least to most."""
+def page_table(rows: Sequence[Row]) -> str:
+    """The table of the page: means over seeds, and half of the range from least to most."""
     lines = []
     for (scene, preset, method), group in grouped(rows).items():
         first, is_plain = group[0], method == PLAIN
@@ -146,8 +145,8 @@ def table(rows: Sequence[Row]) -> str:
                 f"{SURFACE[kind].split(',')[0]} {spread(group, kind, 3 if kind == 'f5' else 2)}" if kind else "",
             ]
         )
-    text = [list(HEADS), ["---"] * len(HEADS), *lines]
-    return "\n".join(f"| {' | '.join(line)} |" for line in text) + "\n"
+    head = f"| {' | '.join(HEADS)} |\n|{'---|' * len(HEADS)}\n"
+    return head + "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def spread(rows: Sequence[Row], name: str, digits: int, unit: str = "") -> str:
@@ -204,7 +203,7 @@ def main() -> None:
     scenes = dict(each.split("=", 1) for each in arguments.scene)
     rows = run(arguments.out, scenes, arguments.seeds, arguments.presets)
     draw(rows, PICTURE)
-    print(align_columns([line.strip("| ").split(" | ") for line in table(rows).splitlines()]))
+    print(page_table(rows))
 
 
 if __name__ == "__main__":

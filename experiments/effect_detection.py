@@ -22,7 +22,6 @@ from tqdm import tqdm
 from gsjax.cli import run_guarded
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
-from gsjax.report.tables import align_columns
 
 ROOT = Path(__file__).parents[1]
 RESULTS, PICTURE = ROOT / "experiments/results/effect_detection.json", ROOT / "docs/assets/effect_detection.png"
@@ -124,14 +123,15 @@ def detections(rows: Sequence[Mapping[str, Any]], effect: str) -> dict[float, tu
     return counts
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """A row an effect: detections by strength, and which other effects were detected instead or as well."""
-    text = [["Effect", "Unit", "Detections by strength", "Other effects that were detected"]]
+def page_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """The table of the page: a row an effect, with detections by strength and the other effects that were detected."""
+    lines = ["| Effect | Unit | Detections by strength | Other effects detected |", "|---|---|---|---|"]
     for effect, each in INJECTED.items():
-        shares = "; ".join(f"{strength:g}: {n} of {of}" for strength, (n, of) in detections(rows, effect).items())
+        counts = "; ".join(f"{strength:g}: {n} of {of}" for strength, (n, of) in detections(rows, effect).items())
         others = Counter(name for row in rows if row["effect"] == effect for name in row["detected"] if name != effect)
-        text.append([effect, each.unit, shares, ", ".join(f"{name} {n}" for name, n in others.items()) or "none"])
-    return text
+        also = ", ".join(f"`{name}` {n}" for name, n in others.items()) or "none"
+        lines.append(f"| `{effect}` | {each.unit} | {counts} | {also} |")
+    return "\n".join(lines) + "\n"
 
 
 def draw(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
@@ -164,7 +164,7 @@ def main() -> None:
 
     json_files.write(RESULTS, {"machine": machine(), "versions": versions(), "rows": rows})
     draw(rows, PICTURE)
-    print(align_columns(table(rows)))
+    print(page_table(rows))
 
 
 if __name__ == "__main__":
