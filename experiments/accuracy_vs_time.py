@@ -9,11 +9,12 @@ dropped. Redraws `docs/assets/accuracy_vs_time.png` and prints the table of `doc
 """
 
 import argparse
+import itertools
 import json
 import resource
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,6 @@ from gsjax.io.files import atomic_path
 ROOT = Path(__file__).parents[1]
 RESULTS, PICTURE = ROOT / "experiments/results/accuracy_vs_time.json", ROOT / "docs/assets/accuracy_vs_time.png"
 PRESETS = "quick", "fast", "balanced"
-PLAIN = "vanilla"  # 3DGS: the image terms alone, without stereo
 SURFACE = {"f5": "F at 5 cm", "chamfer": "Chamfer distance, 1e-3"}
 HEADS = "Scene", "Preset", "Normals", "Steps; Gaussians", "Processor seconds", "PSNR", "SSIM", "Mesh normals", "Surface"
 
@@ -35,25 +35,21 @@ Row = dict[str, Any]
 
 def run(out: Path, scenes: Mapping[str, str], seeds: int, presets: Sequence[str]) -> list[Row]:
     """Run what is left; return the rows of all runs."""
+    from gsjax.io.machine import machine, versions
+
     version = _version()
     before = json_files.read(RESULTS) if RESULTS.exists() else {}
     rows: list[Row] = before["rows"] if before.get("version") == version else []
-    known = {_key(row) for row in rows}
-    for seed in range(seeds):
-        for name, path in scenes.items():
-            for preset in presets:
-                for method in (preset,) if preset == "quick" else (preset, PLAIN):
-                    if (name, preset, method, seed) in known:
-                        continue
-                    print(f"== {name}, {method} with the steps of {preset}, seed {seed}", flush=True)
-                    row = measured(out / f"{name}_{preset}_{method}_{seed}", path, preset, method, seed)
-                    rows.append({"scene": name, "preset": preset, "method": method, "seed": seed, **row})
-                    _write(rows, version)
+    for seed, name, preset, vanilla in itertools.product(range(seeds), scenes, presets, (False, True)):
+        key = {"scene": name, "preset": preset, "vanilla": vanilla, "seed": seed}
+        is_known = any(key.items() <= row.items() for row in rows)
+        if not is_known and (preset, vanilla) != ("quick", True):  # `quick` has the image terms alone.
+            folder = out / f"{name}_{preset}{'_vanilla' if vanilla else ''}_{seed}"
+            print(f"== {folder.name}", flush=True)
+            rows.append(key | measured(folder, scenes[name], preset, vanilla, seed))
+            about = {"version": version, "machine": machine(), "versions": versions()}
+            json_files.write(RESULTS, {**about, "rows": rows})
     return rows
-
-
-def _key(row: Row) -> tuple[Any, ...]:
-    return row["scene"], row["preset"], row["method"], row["seed"]
 
 
 def _version() -> str:
@@ -64,12 +60,12 @@ def _version() -> str:
     return "+".join(each[:8] for each in trees.stdout.split())
 
 
-def measured(folder: Path, scene: str, preset: str, method: str, seed: int) -> Row:
+def measured(folder: Path, scene: str, preset: str, vanilla: bool, seed: int) -> Row:
     """Train, mesh and score one run.
 
     Its time is the processor's for the whole training command, without compilations, as other programs come and go.
     """
-    plain = ["schedule.vanilla=true", "supervision.stereo_weight=0"] if method == PLAIN else []
+    plain = ["schedule.vanilla=true", "supervision.stereo_weight=0"] if vanilla else []
     path, _, downscale = scene.partition("@")
     settings = ["--downscale", downscale or "1", "--set", f"seed={seed}", *plain]
     before = _processor_seconds()
@@ -111,31 +107,20 @@ def _gsjax(*arguments: str) -> None:
     subprocess.run([sys.executable, "-m", "gsjax", *arguments], check=True, stdout=subprocess.DEVNULL)
 
 
-def _write(rows: list[Row], version: str) -> None:
-    from gsjax.io.machine import machine, versions
-
-    json_files.write(RESULTS, {"version": version, "machine": machine(), "versions": versions(), "rows": rows})
-
-
-def grouped(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[Row]]:
-    """Rows of all seeds by scene, preset and method."""
-    groups: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row["scene"], row["preset"], row["method"]), []).append(row)
-    return groups
-
-
 def page_table(rows: Sequence[Row]) -> str:
     """The table of the page: means over seeds, and half of the range from least to most."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row["scene"], row["preset"], row["vanilla"]), []).append(row)
     lines = []
-    for (scene, preset, method), group in grouped(rows).items():
-        first, is_plain = group[0], method == PLAIN
-        normals = "none" if is_plain or preset == "quick" else "self-supervised"
+    for (scene, preset, vanilla), group in groups.items():
+        first = group[0]
+        normals = "none" if vanilla or preset == "quick" else "self-supervised"
         kind = next((each for each in SURFACE if each in first), None)
         lines.append(
             [
                 f"*{scene}*",
-                f"vanilla 3DGS, steps of `{preset}`" if is_plain else f"`{preset}`",
+                f"vanilla 3DGS, steps of `{preset}`" if vanilla else f"`{preset}`",
                 normals,
                 f"{first['steps']:,}; {first['gaussians']:,}",
                 spread(group, "processor_seconds", 0),
@@ -158,16 +143,14 @@ def spread(rows: Sequence[Row], name: str, digits: int, unit: str = "") -> str:
 
 def draw(rows: Sequence[Row], file: Path) -> None:
     """Seconds against PSNR, and against the surface's score; a colour a scene, a line a method, a dot a seed."""
-    import matplotlib
+    from gsjax.report.figures import new_figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, panels = pyplot.subplots(1, 2, figsize=(9.5, 4.2))
+    figure = new_figure(9.5, 4.2)
+    panels = figure.subplots(1, 2)
     for panel, names in zip(panels, (("psnr",), tuple(SURFACE)), strict=True):
         for color, scene in enumerate(dict.fromkeys(row["scene"] for row in rows)):
-            for label, is_plain, style in (("presets", False, "o-"), ("vanilla 3DGS", True, "s:")):
-                if points := _points([row for row in rows if row["scene"] == scene], is_plain, names):
+            for label, vanilla, style in (("presets", False, "o-"), ("vanilla 3DGS", True, "s:")):
+                if points := _points([row for row in rows if row["scene"] == scene], vanilla, names):
                     panel.plot(*np.concatenate(points).T, style[0], ms=4, color=f"C{color}")
                     means = np.transpose([each.mean(axis=0) for each in points])
                     panel.plot(*means, style[1:], color=f"C{color}", label=f"{scene}, {label}")
@@ -176,18 +159,16 @@ def draw(rows: Sequence[Row], file: Path) -> None:
         panel.legend(fontsize=8)
     panels[0].set_ylabel("held-out PSNR, exposure-corrected, dB")
     panels[1].set_ylabel(" / ".join(SURFACE[name] for name in SURFACE if any(name in row for row in rows)))
-    figure.tight_layout()
     with atomic_path(file) as temporary:
         figure.savefig(temporary, dpi=110, format="png")
-    pyplot.close(figure)
 
 
-def _points(rows: Sequence[Row], is_plain: bool, names: Sequence[str]) -> list[np.ndarray]:
+def _points(rows: Sequence[Row], vanilla: bool, names: Sequence[str]) -> list[np.ndarray]:
     """Of every preset, `[S, 2]` seconds and the score of that name which the rows have."""
     points: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
         for name in names:
-            if name in row and (row["method"] == PLAIN) == is_plain:
+            if name in row and row["vanilla"] == vanilla:
                 points.setdefault(row["preset"], []).append((row["processor_seconds"], row[name]))
     return [np.array(each) for each in points.values()]
 

@@ -68,36 +68,6 @@ CONFIGS: dict[str, dict[str, Any]] = {
     },
     # Fifty real photos of an indoor scene, 267x475 pixels (the undistorted COLMAP model).
     "fox": {},
-    # The same a third as large, with a quarter of the Gaussians: minutes on a CPU.
-    "fox_small": {"photos": {"downscale": 3.0}, "model": {"max_gaussians": 9_000}},
-    # Any real photos halved, fewer Gaussians, short phases: seeds are cheap.
-    "photos_short": {
-        "photos": {"downscale": 2},
-        "model": {"max_gaussians": 16_000},
-        "schedule": {
-            "phases": {
-                "coarse": {"steps": 300},
-                "vanilla": {"steps": 900},
-                "surface": {"steps": 400},
-                "image": {"steps": 200},
-            }
-        },
-        "density": {"stop": 700},
-    },
     # A NeRF-synthetic scene with RGBA images; random backgrounds and supervised coverage keep its surroundings empty.
     "lego200": {"model": {"background": "random"}},
-    # Every phase for a few steps on small photos: whether it runs, not how well.
-    "smoke": {
-        "photos": {"downscale": 2},
-        "model": {"max_gaussians": 4000},
-        "schedule": {
-            "phases": [
-                {"name": "vanilla", "steps": 40, "density_control": True},
-                {"name": "entropy", "steps": 10, "weights": {"entropy": 0.1}},
-                {"name": "surface", "steps": 10, "weights": {"sdf_normal": 0.2}},
-            ]
-        },
-        "density": {"start": 10, "stop": 30, "every": 10},
-        "logging": {"metrics_every": 10, "evaluate_every": 0, "checkpoint_every": 20},
-    },
 }

@@ -136,21 +136,17 @@ def page_table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def draw(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
     """A panel an effect: the share of the scenes in which it is detected, against its strength."""
-    import matplotlib
+    from gsjax.report.figures import new_figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, panels = pyplot.subplots(1, len(INJECTED), figsize=(3 * len(INJECTED), 2.8), sharey=True)
+    figure = new_figure(3 * len(INJECTED), 2.8)
+    panels = figure.subplots(1, len(INJECTED), sharey=True)
     for panel, (effect, each) in zip(panels, INJECTED.items(), strict=True):
         counts = detections(rows, effect)
         panel.plot(list(counts), [100 * found / of for found, of in counts.values()], "o-")
         panel.set(title=effect, xlabel=each.unit)
     panels[0].set_ylabel("detected, % of the scenes")
-    figure.tight_layout()
     with atomic_path(file) as temporary:
         figure.savefig(temporary, dpi=110, format="png")
-    pyplot.close(figure)
 
 
 def main() -> None:

@@ -29,13 +29,10 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
         "twice the Gaussians": {"model": {"max_gaussians": 2 * gaussians}},
         "half of the steps": steps(0.5),
         "twice the steps": steps(2),
-        "harmonics of degree 1": {"model": {"sh_degree": 1}},
         "harmonics of degree 3": {"model": {"sh_degree": 3}},
         "3DGS's densification": {"density": {"rule": "adc"}},
         "surface terms in every step": surface(surface_every=1),
-        "surface terms at half size": surface(surface_scale=2),
         "no surface terms": {"schedule": {"vanilla": True}},
-        "depth of the splats' planes": {"model": {"depth_mode": "plane"}},
         "pixels without the mip filter": {"model": {"pixel_filter": "classic"}},
     }
     true_normals = {"supervision": {"normals": "{scene}/normals"}}
