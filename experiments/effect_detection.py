@@ -30,7 +30,7 @@ Change = Callable[[Any, float, np.random.Generator], Any]
 """(frame, strength, random numbers of its own) -> the frame with the effect."""
 
 
-class Injected(NamedTuple):
+class InjectedEffect(NamedTuple):
     """An effect that is put into photos."""
 
     unit: str
@@ -40,12 +40,11 @@ class Injected(NamedTuple):
 
 def with_image(frame: Any, change: Callable[[np.ndarray], np.ndarray]) -> Any:
     """A frame whose `[H, W, 3]` image, linear light in 0 to 1, is changed."""
-    from gsjax.scene import with_pixels
-    from gsjax.scene.colors import linear_to_srgb, shares, srgb_to_linear, to_bytes
+    from gsjax.scene import colors, with_pixels
 
     pixels = frame.pixels()
-    light = np.clip(change(srgb_to_linear(shares(pixels.image))), 0, 1)
-    return with_pixels(frame, pixels._replace(image=np.asarray(to_bytes(linear_to_srgb(light)))))
+    light = np.clip(change(colors.srgb_to_linear(colors.shares(pixels.image))), 0, 1)
+    return with_pixels(frame, pixels._replace(image=np.asarray(colors.to_bytes(colors.linear_to_srgb(light)))))
 
 
 def expose(frame: Any, strength: float, rng: np.random.Generator) -> Any:
@@ -79,11 +78,11 @@ def blur(frame: Any, strength: float, rng: np.random.Generator) -> Any:
     return with_image(frame, lambda light: cv2.GaussianBlur(light, (0, 0), strength))
 
 
-INJECTED = {
-    "exposure": Injected("EV between photos", (0, 0.02, 0.05, 0.1, 0.2, 0.4), expose),
-    "vignetting": Injected("EV in the corners", (0, 0.05, 0.1, 0.2, 0.4, 0.8), darken_corners),
-    "poses": Injected("pixels", (0, 0.1, 0.2, 0.4, 0.8, 1.6), turn),
-    "blur": Injected("pixels", (0, 0.5, 1, 1.5, 2, 3), blur),
+EFFECTS = {
+    "exposure": InjectedEffect("EV between photos", (0, 0.02, 0.05, 0.1, 0.2, 0.4), expose),
+    "vignetting": InjectedEffect("EV in the corners", (0, 0.05, 0.1, 0.2, 0.4, 0.8), darken_corners),
+    "poses": InjectedEffect("pixels", (0, 0.1, 0.2, 0.4, 0.8, 1.6), turn),
+    "blur": InjectedEffect("pixels", (0, 0.5, 1, 1.5, 2, 3), blur),
 }
 
 
@@ -95,7 +94,7 @@ def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
     jobs = [
         (name, effect, strength, seed)
         for name in scenes
-        for effect, each in INJECTED.items()
+        for effect, each in EFFECTS.items()
         for strength in each.strengths
         for seed in range(seeds if strength else 1)
     ]
@@ -104,10 +103,9 @@ def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
         path, _, downscale = scenes[name].partition("@")
         scene = loaded.setdefault(name, load_scene(path, downscale=float(downscale or 1)))
         streams = np.random.default_rng([seed, *effect.encode()]).spawn(len(scene.frames))
-        frames = [
-            INJECTED[effect].change(frame, strength, rng) for frame, rng in zip(scene.frames, streams, strict=True)
-        ]
-        effects = diagnose_scene(replace(scene, frames=tuple(frames))).record()["effects"]
+        change, pairs = EFFECTS[effect].change, zip(scene.frames, streams, strict=True)
+        changed = replace(scene, frames=tuple(change(frame, strength, rng) for frame, rng in pairs))
+        effects = diagnose_scene(changed).record()["effects"]
         detected = [each for each, evidence in effects.items() if evidence["on"]]
         rows.append({"scene": name, "effect": effect, "strength": strength, "seed": seed, "detected": detected})
     return rows
@@ -118,15 +116,15 @@ def detections(rows: Sequence[Mapping[str, Any]], effect: str) -> dict[float, tu
     counts: dict[float, tuple[int, int]] = {}
     for row in rows:
         if row["effect"] == effect:
-            found, every = counts.get(row["strength"], (0, 0))
-            counts[row["strength"]] = found + (effect in row["detected"]), every + 1
+            hits, count = counts.get(row["strength"], (0, 0))
+            counts[row["strength"]] = hits + (effect in row["detected"]), count + 1
     return counts
 
 
 def page_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table of the page: a row an effect, with detections by strength and the other effects that were detected."""
     lines = ["| Effect | Unit | Detections by strength | Other effects detected |", "|---|---|---|---|"]
-    for effect, each in INJECTED.items():
+    for effect, each in EFFECTS.items():
         counts = "; ".join(f"{strength:g}: {n} of {of}" for strength, (n, of) in detections(rows, effect).items())
         others = Counter(name for row in rows if row["effect"] == effect for name in row["detected"] if name != effect)
         also = ", ".join(f"`{name}` {n}" for name, n in others.items()) or "none"
@@ -138,11 +136,11 @@ def draw(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
     """A panel an effect: the share of the scenes in which it is detected, against its strength."""
     from gsjax.report.figures import new_figure
 
-    figure = new_figure(3 * len(INJECTED), 2.8)
-    panels = figure.subplots(1, len(INJECTED), sharey=True)
-    for panel, (effect, each) in zip(panels, INJECTED.items(), strict=True):
+    figure = new_figure(3 * len(EFFECTS), 2.8)
+    panels = figure.subplots(1, len(EFFECTS), sharey=True)
+    for panel, (effect, each) in zip(panels, EFFECTS.items(), strict=True):
         counts = detections(rows, effect)
-        panel.plot(list(counts), [100 * found / of for found, of in counts.values()], "o-")
+        panel.plot(list(counts), [100 * hits / count for hits, count in counts.values()], "o-")
         panel.set(title=effect, xlabel=each.unit)
     panels[0].set_ylabel("detected, % of the scenes")
     with atomic_path(file) as temporary:

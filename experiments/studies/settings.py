@@ -20,9 +20,6 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
         density = {name: round(factor * config["density"][name]) for name in ("start", "stop", "every")}
         return {"schedule": {"phases": longer}, "density": density}
 
-    def surface(**difference: Any) -> dict[str, Any]:
-        return {"schedule": {"phases": {"surface": difference}}}
-
     changes = {
         "default": {},
         "half of the Gaussians": {"model": {"max_gaussians": gaussians // 2}},
@@ -31,9 +28,8 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
         "twice the steps": steps(2),
         "harmonics of degree 3": {"model": {"sh_degree": 3}},
         "3DGS's densification": {"density": {"rule": "adc"}},
-        "surface terms in every step": surface(surface_every=1),
+        "surface terms in every step": {"schedule": {"phases": {"surface": {"surface_every": 1}}}},
         "no surface terms": {"schedule": {"vanilla": True}},
-        "pixels without the mip filter": {"model": {"pixel_filter": "classic"}},
     }
     true_normals = {"supervision": {"normals": "{scene}/normals"}}
     return {name: change | true_normals for name, change in changes.items()}
