@@ -14,7 +14,7 @@ MATRIX_TESTS ?= tests/rasterizer
 IN_PARALLEL := --numprocesses auto --dist loadfile --no-loadscope-reorder
 OPEN3D_LIBRARIES := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0
 
-.PHONY: demo ready test test-all check lint docs wheel oldest matrix rasterizer words libraries clean
+.PHONY: demo ready test test-all check lint docs wheel oldest matrix rasterizer measure words libraries clean
 
 demo: $(INSTALLED)
 	$(BIN)/gsjax demo --out runs/demo
@@ -68,6 +68,22 @@ matrix:
 rasterizer: $(INSTALLED)-test
 	@$(BIN)/python -c 'import jax, platform; print("Python", platform.python_version(), "with jax", jax.__version__)'
 	$(BIN)/python -m pytest $(IN_PARALLEL) $(MATRIX_TESTS)
+
+# The result files whose tables the pages have, in some hours on two cores; what is there is not run again. DATA holds
+# the scenes fox, fern, bunny_plane, and the photos of the room with its truth.
+DATA ?= ../shared/data
+MEASURED := runs/measured
+
+measure: $(INSTALLED)-test
+	$(BIN)/python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases experiments/results/hard_cases.md
+	test -e $(MEASURED)/demo || $(BIN)/gsjax demo --out $(MEASURED)/demo
+	test -e $(MEASURED)/room || $(BIN)/gsjax sfm $(DATA)/room/images --out $(MEASURED)/room
+	$(BIN)/python experiments/effect_detection.py \
+		--scene fern=$(DATA)/fern/undistorted@2 built_in=$(MEASURED)/demo/scene bunny=$(DATA)/bunny_plane
+	$(BIN)/python experiments/accuracy_vs_time.py --out $(MEASURED)/presets --scene room=$(MEASURED)/room@2 \
+		fox=$(DATA)/fox/undistorted bunny=$(DATA)/bunny_plane
+	$(BIN)/python experiments/compare.py ablation --scene $(MEASURED)/demo/scene --out $(MEASURED)/ablation --seeds 3
+	$(BIN)/python experiments/compare.py settings --scene $(MEASURED)/demo/scene --out $(MEASURED)/settings --seeds 3
 
 # What Open3D loads from the system, for who installs it otherwise.
 libraries:
