@@ -47,8 +47,8 @@ def run(out: Path, scenes: Mapping[str, str], seeds: int, presets: Sequence[str]
             folder = out / f"{name}_{preset}{'_vanilla' if vanilla else ''}_{seed}"
             print(f"== {folder.name}", flush=True)
             rows.append(key | measured(folder, scenes[name], preset, vanilla, seed))
-            about = {"version": version, "machine": machine(), "versions": versions()}
-            json_files.write(RESULTS, {**about, "rows": rows})
+            about = {"version": version, "machine": machine(), "versions": versions(), "rows": rows}
+            json_files.write(RESULTS, about)
     return rows
 
 
@@ -88,8 +88,7 @@ def measured(folder: Path, scene: str, preset: str, vanilla: bool, seed: int) ->
 
 
 def _processor_seconds() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    return sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])  # of users and of the system
 
 
 def _surface(folder: Path, scores: Mapping[str, Any]) -> Row:

@@ -68,6 +68,4 @@ CONFIGS: dict[str, dict[str, Any]] = {
     },
     # Fifty real photos of an indoor scene, 267x475 pixels (the undistorted COLMAP model).
     "fox": {},
-    # A NeRF-synthetic scene with RGBA images; random backgrounds and supervised coverage keep its surroundings empty.
-    "lego200": {"model": {"background": "random"}},
 }

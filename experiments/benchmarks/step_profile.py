@@ -132,6 +132,9 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
         data = with_neighbors(batches.read_batches(frames, scale=scale), extent)
         if "normals" in phase.needs:
             data = batches.with_normals(data, facing, scale)
+        if "measured" in phase.needs:
+            ones = np.ones(data.size[::-1], np.float32)
+            data = batches.with_depths(data, [(ones, 255 * ones.astype(np.uint8))] * len(frames))
         rule = DENSIFICATION_RULES[settings.density.rule]
         start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.model.pixel_filter)
         state = initial_state(start, optimizer, rule)

@@ -9,7 +9,7 @@ from gsjax.errors import InputError
 from gsjax.presets import DEMO
 from gsjax.settings import Settings
 
-CONFIGS = ["base", "built_in", "bunny_plane", "demo", "fox", "lego200"]
+CONFIGS = ["base", "built_in", "bunny_plane", "demo", "fox"]
 
 
 @pytest.fixture
