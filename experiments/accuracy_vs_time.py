@@ -156,10 +156,11 @@ def draw(rows: Sequence[Row], file: Path) -> None:
         for color, scene in enumerate(dict.fromkeys(row["scene"] for row in rows)):
             for label, vanilla, style in (("presets", False, "o-"), ("vanilla 3DGS", True, "s:")):
                 if points := _points([row for row in rows if row["scene"] == scene], vanilla, names):
-                    panel.plot(*np.concatenate(points).T, style[0], ms=4, color=f"C{color}")
+                    panel.plot(*np.concatenate(points).T, style[0], color=f"C{color}", label=f"{scene}, {label}")
                     means = np.transpose([each.mean(axis=0) for each in points])
-                    panel.plot(*means, style[1:], color=f"C{color}", label=f"{scene}, {label}")
+                    panel.plot(*means, style[1:], color=f"C{color}")
         panel.set_xscale("log")
+        panel.xaxis.set(major_formatter="{x:.0f}", minor_formatter="{x:.0f}")
         panel.set_xlabel("processor seconds of training")
         panel.legend(fontsize=8)
     panels[0].set_ylabel("held-out PSNR, exposure-corrected, dB")

@@ -26,7 +26,6 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
         "twice the Gaussians": {"model": {"max_gaussians": 2 * gaussians}},
         "half of the steps": steps(0.5),
         "twice the steps": steps(2),
-        "harmonics of degree 3": {"model": {"sh_degree": 3}},
         "3DGS's densification": {"density": {"rule": "adc"}},
         "surface terms in every step": {"schedule": {"phases": {"surface": {"surface_every": 1}}}},
         "no surface terms": {"schedule": {"vanilla": True}},
