@@ -15,7 +15,6 @@ from gsjax.normals import sdf
 from gsjax.numerics import masked_mean
 from gsjax.rendering import MIN_COVERAGE, View
 from gsjax.scene.batches import Batch
-from rasterizer.similarity import mean_over_pixels
 
 Loss = Callable[[Gaussians, View, Batch], Array]
 """(Gaussians, View, Batch) -> `[]`."""
@@ -24,7 +23,7 @@ Loss = Callable[[Gaussians, View, Batch], Array]
 def l1(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     """Mean absolute difference over valid pixels and channels."""
     del gaussians
-    return mean_over_pixels(jnp.abs(view.colors - batch.image), batch.valid)
+    return masked_mean(jnp.mean(jnp.abs(view.colors - batch.image), axis=-1), batch.valid)
 
 
 def dssim(gaussians: Gaussians, view: View, batch: Batch) -> Array:
