@@ -54,7 +54,7 @@ HIDDEN_BY_FAMILY = {
 HIDDEN = {name: fields for cases in HIDDEN_BY_FAMILY.values() for name, fields in cases.items()}
 
 # name -> fields of the odd Gaussian. It must show as in float64.
-SHOWN = {
+VISIBLE = {
     "ordinary": {},
     "zero quaternion": {"quats": (0.0, 0, 0, 0)},
     "denormal quaternion": {"quats": (1e-40, 1e-41, 0, 0)},
@@ -88,9 +88,9 @@ OTHER_MODELS = {
     "fisheye": {"camera_model": "fisheye", "radial_coeffs": np.array([[0.05, -0.02, 0.01, -0.003]])},
     "ortho": {"camera_model": "ortho"},
 }
-SHOWN_BY_OTHER_MODELS = {
+VISIBLE_BY_OTHER_MODELS = {
     **{
-        name: SHOWN[name]
+        name: VISIBLE[name]
         for name in (
             "ordinary", "a point", "needle 1e6", "huge", "denormal mean", "just past the near plane",
             "needle along the ray", "needle past the eye", "at the image border", "mean far outside the image",
@@ -100,7 +100,7 @@ SHOWN_BY_OTHER_MODELS = {
     "next to the camera": {"means": (0.5, 0.1, 0.02), "scales": (0.3, 0.3, 0.3)},
 }  # fmt: skip
 ANTIALIASED = "ordinary", "a point", "two flat axes", "needle 1e6", "huge", "far away"
-"""Cases of `SHOWN` that are rendered antialiased too, of an opacity of 0.9."""
+"""Cases of `VISIBLE` that are rendered antialiased too, of an opacity of 0.9."""
 
 
 def odd(fields):
@@ -113,7 +113,7 @@ def odd(fields):
 
 def antialiased(name):
     """A scene of `ANTIALIASED`."""
-    return odd({**SHOWN[name], "opacities": 0.9})
+    return odd({**VISIBLE[name], "opacities": 0.9})
 
 
 def focal_length(focal):
@@ -174,7 +174,7 @@ def images_by_family():
     The families are those of `FAMILIES`, with cameras and antialiasing apart. Fisheye cameras have no coefficients.
     """
     scenes = {
-        **{name: odd(fields) for name, fields in SHOWN.items()},
+        **{name: odd(fields) for name, fields in VISIBLE.items()},
         "nothing odd": cloud(),
         "pixels that stop early": stacks(),
         "all depths coincide": coincident_depths(),
@@ -191,7 +191,7 @@ def images_by_family():
     others = {f"focal length {focal:g} px": focal_length(focal) for focal in FOCAL_LENGTHS} | {"one pixel": one_pixel()}
     groups = {"cameras: focal lengths of 0.01 and 1e6 px, one pixel": (others, {})}
     for model in OTHER_MODELS:
-        visible = {name: odd(fields) for name, fields in SHOWN_BY_OTHER_MODELS.items()}
+        visible = {name: odd(fields) for name, fields in VISIBLE_BY_OTHER_MODELS.items()}
         groups[f"cameras: {model}"] = visible, {"camera_model": model}
     groups["antialiased"] = {name: antialiased(name) for name in ANTIALIASED}, {"rasterize_mode": "antialiased"}
     return families | {

@@ -4,7 +4,7 @@ import argparse
 
 from gsjax.cli.parsers import About
 
-SHOWN = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency",
+COLUMNS = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency",
          "gaussians", "seconds")  # fmt: skip
 
 ABOUT = About(
@@ -31,5 +31,5 @@ def run(out: str) -> str:
 
     report = demo.run(out)
     rows = {"vanilla": report["vanilla"], "surface": report["surface"], tables.FLOOR: report["floor"]}
-    table = tables.compare({name: {key: row[key] for key in SHOWN if key in row} for name, row in rows.items()})
+    table = tables.compare({name: {key: row[key] for key in COLUMNS if key in row} for name, row in rows.items()})
     return f"{table}\nnormals of the surface terms: the true ones of the scene\nreport and pictures: {out}"

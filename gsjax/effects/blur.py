@@ -14,7 +14,7 @@ THRESHOLD = 0.5  # of the median sharpness, lost
 DROP = 0.7  # A photo that lost more is left out of training,
 SEEN_BESIDES = 0.9  # if two others see so many of its points.
 SHARP_EDGE = 1.5  # pixels: photos whose sharpest edges are twice as wide lack half of their resolution
-_SHOWN = 5
+_MOST_NAMED = 5
 
 
 def judge(findings: "Findings") -> Evidence:
@@ -25,9 +25,9 @@ def judge(findings: "Findings") -> Evidence:
     names = [observations.frames[index].name for index in blurred[np.argsort(-lost[blurred])]]
     note = "the least sharp photo against the median one"
     if names:
-        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         note = (
-            f"blurred: {', '.join(names[:_SHOWN])}{more}; {int((lost > DROP).sum())} by more than {100 * DROP:.0f} %,"
+            f"blurred: {', '.join(names[:_MOST_NAMED])}{more}; {int((lost > DROP).sum())} by more than {100 * DROP:.0f} %,"
             f" training leaves {len(photos_to_leave_out(observations)) or 'none'} out"
         )
     if blurred_by > THRESHOLD:

@@ -22,7 +22,7 @@ from gsjax.settings import Settings
 
 NUM_VIEWS, SIZE = 48, (192, 192)
 SURFACE_POINTS = 60_000  # A quarter of the usual: a third less time, and meshes 4 % further from the truth.
-SHOWN_VIEW = 1  # Of the held-out ones.
+PICTURE_VIEW = 1  # Of the held-out ones.
 REPORTED = ("psnr", "ssim", "normal_error_deg", "normal_error_median_deg", "normal_error_all_deg", "chamfer",
             "accuracy", "completeness", "fscore_quarter", "fscore_half", "fscore", "normal_consistency",
             "gaussians")  # fmt: skip
@@ -88,7 +88,7 @@ def _reported(figures: dict[str, Any]) -> dict[str, Any]:
 def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Path:
     """comparison.png: photo and render, normals before, after and true, and both meshes, of one held-out view."""
     loaded = load_scene(scene)
-    frame, truth = loaded.held_out_frames[SHOWN_VIEW], loaded.truth
+    frame, truth = loaded.held_out_frames[PICTURE_VIEW], loaded.truth
     index, local = surface.names.index(frame.name), surface.similarity.mesh_to_local
     camera = surface.cameras[index]
     before, after = (

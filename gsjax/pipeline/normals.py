@@ -23,7 +23,7 @@ from gsjax.planning.sizes import chosen_downscale
 from gsjax.scene import Frame, Scene
 from gsjax.settings import Photos
 
-SHOWN = 5  # rejected photos that a report names
+MOST_NAMED = 5  # rejected photos that a report names
 
 
 def normals(
@@ -157,8 +157,8 @@ def _fits(maps: Mapping[str, Any], frames: tuple[Frame, ...]) -> dict[str, str]:
     if fits:
         error, explained = (np.median([fit[name] for fit in fits]) for name in ("error", "explained"))
         summary = f"{100 * error:.1f} % off the tracks' depth, explains {explained:.2f} of it (medians)"
-    named = "; ".join(f"{name} ({why})" for name, why in rejected[:SHOWN])
-    more = f"; and {len(rejected) - SHOWN} more" if len(rejected) > SHOWN else ""
+    named = "; ".join(f"{name} ({why})" for name, why in rejected[:MOST_NAMED])
+    more = f"; and {len(rejected) - MOST_NAMED} more" if len(rejected) > MOST_NAMED else ""
     return {"fit": summary, "rejected": f"{len(rejected)} of {len(frames)}" + (f": {named}{more}" if rejected else "")}
 
 

@@ -22,8 +22,8 @@ from hard_scenes import (
     ORDINARY,
     OTHER_MODELS,
     PILES,
-    SHOWN,
-    SHOWN_BY_OTHER_MODELS,
+    VISIBLE,
+    VISIBLE_BY_OTHER_MODELS,
     antialiased,
     coincident_depths,
     focal_length,
@@ -134,9 +134,9 @@ def alone(request):
     return BACKENDS if request.config.getoption("--long") else [OWN]
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", VISIBLE)
 def test_what_can_show_agrees_with_float64(name, agree_with_float64):
-    scene = odd(SHOWN[name])
+    scene = odd(VISIBLE[name])
     assert evaluate(scene, "xla")[2]["visible"][0, -1]
     agree_with_float64(name, scene)
 
@@ -147,10 +147,10 @@ def test_pixels_that_see_to_the_end_and_that_stop_early_agree_with_float64(name,
     agree_with_float64(name, scene, 3e-6, 2e-5, backends=["reference", "xla"])
 
 
-@pytest.mark.parametrize("name", SHOWN_BY_OTHER_MODELS)
+@pytest.mark.parametrize("name", VISIBLE_BY_OTHER_MODELS)
 @pytest.mark.parametrize(("model", "backend"), IN_WHICH)
 def test_other_camera_models_agree_with_float64(model, backend, name, agree_with_float64):
-    scene, options = odd(SHOWN_BY_OTHER_MODELS[name]), OTHER_MODELS[model]
+    scene, options = odd(VISIBLE_BY_OTHER_MODELS[name]), OTHER_MODELS[model]
     # In parallel the needle is not shortened by distance: 33 pixels a sigma. Measured 9e-6.
     bound = 3e-5 if (model, name) == ("ortho", "needle 1e6") else 1e-5
     agree_with_float64(f"{model}: {name}", scene, value_bound=bound, backends=[backend], **options)
@@ -171,14 +171,14 @@ def test_what_other_camera_models_cannot_show_changes_no_bit_of_the_rest(model, 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", VISIBLE)
 def test_planes_agree_with_float64(name, agree_with_float64):
-    agree_with_float64("planes: " + name, of_depth(odd(SHOWN[name])), **PLANES)
+    agree_with_float64("planes: " + name, of_depth(odd(VISIBLE[name])), **PLANES)
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", VISIBLE)
 def test_depth_in_front_agrees_with_float64(name, agree_with_float64, few):
-    agree_with_float64("in front: " + name, of_depth(odd(SHOWN[name])), backends=few, evaluate=evaluate_in_front)
+    agree_with_float64("in front: " + name, of_depth(odd(VISIBLE[name])), backends=few, evaluate=evaluate_in_front)
 
 
 @pytest.mark.parametrize("name", ANTIALIASED)

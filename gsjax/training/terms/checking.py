@@ -20,7 +20,7 @@ from gsjax.scene.cameras import Camera
 from gsjax.training.terms import NEEDS, Term, Weighed
 from gsjax.training.terms.multi_view import render_neighbor
 
-SHOWN = tuple(word for word in NEEDS if word != "gaussians")  # which are always at hand
+DATA_NEEDS = tuple(word for word in NEEDS if word != "gaussians")  # which are always at hand
 ROWS, BANDS, PAIRS, SIZE = 4096, 15, 4096, (64, 64)  # of what terms are tried on; sizes of runs come from their photos
 
 Seen = tuple[Gaussians, View, Batch]
@@ -88,7 +88,7 @@ def _missing(loss: Callable[..., Any], everything: Seen, needs: Iterable[str]) -
     own = frozenset(needs)
     if _error(loss, _with(everything, own)) is None:
         return ()
-    missing = [word for word in SHOWN if word not in own]
+    missing = [word for word in DATA_NEEDS if word not in own]
     if _error(loss, everything) is not None:
         return None
     for word in tuple(missing):
