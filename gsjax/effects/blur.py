@@ -27,8 +27,8 @@ def judge(findings: "Findings") -> Evidence:
     if names:
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         note = (
-            f"blurred: {', '.join(names[:_MOST_NAMED])}{more}; {int((lost > DROP).sum())} by more than {100 * DROP:.0f} %,"
-            f" training leaves {len(photos_to_leave_out(observations)) or 'none'} out"
+            f"blurred: {', '.join(names[:_MOST_NAMED])}{more}; {int((lost > DROP).sum())} by more than"
+            f" {100 * DROP:.0f} %, training leaves {len(photos_to_leave_out(observations)) or 'none'} out"
         )
     if blurred_by > THRESHOLD:
         note += f"; all photos are blurred: their sharpest edges are {SHARP_EDGE / (1 - blurred_by):.1f} pixels wide,"
