@@ -200,8 +200,12 @@ def _decided(
     validated = validate(findings.observations, proposed, findings.sky) if validate and proposed else {}
     if not validated:
         return {name for name in proposed if name in UNVALIDATED and _is_strong(findings.effects[name])}, {}
-    passed = [name for name, each in validated.items() if each.passes]
+    passed = [name for name, each in validated.items() if _is_confirmed(findings.effects[name], each)]
     return {part for name in passed for part in PARTS.get(name, (name,))}, validated
+
+
+def _is_confirmed(evidence: Evidence, validated: Validated) -> bool:
+    return not validated.loses if evidence.is_certain else validated.passes
 
 
 def _is_strong(evidence: Evidence) -> bool:
@@ -216,7 +220,8 @@ def _noted(
     for name in proposed:
         decision = "simulated" if name in selection else "not simulated"
         why = "not validated, the run is too short"
-        why = f"gains {validated[name]} in a validation run (needs {WORTH:g})" if name in validated else why
+        least = f"at most {WORTH:g} lost" if findings.effects[name].is_certain else f"needs {WORTH:g}"
+        why = f"gains {validated[name]} in a validation run ({least})" if name in validated else why
         why = "part of the sky" if name == "background" and "sky" in selection else why
         notes[name] = findings.effects[name]._replace(note=f"{decision}: {why}; {findings.effects[name].note}")
     return notes

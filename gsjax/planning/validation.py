@@ -137,6 +137,11 @@ class Validated(NamedTuple):
         """Whether the change is worth making."""
         return self.gain >= WORTH and self.gain > self.error
 
+    @property
+    def loses(self) -> bool:
+        """Whether the change does harm."""
+        return self.gain <= -WORTH and self.gain < -self.error
+
     def __str__(self):
         return f"{self.gain:+.2f} +-{self.error:.2f} dB"
 

@@ -129,6 +129,18 @@ def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
     assert "background" in over_black.effects and over_black.evidence["evidence"]["background"]["on"]
 
 
+@pytest.mark.parametrize(
+    ("gain", "error", "is_simulated"), [(1.0, 0.1, True), (-0.07, 0.09, True), (-0.3, 0.5, True), (-0.3, 0.1, False)]
+)
+def test_pure_white_is_a_background_unless_validation_loses_by_it(gain, error, is_simulated):
+    white, over_black = painted(lambda y, x: np.array([255, 255, 255])), plan(Settings())
+    chosen = choose_effects("auto", over_black, white, lambda *_: {"background": Validated(gain, error)})
+    assert ("background" in chosen.effects) == is_simulated
+    note = chosen.evidence["evidence"]["background"]["note"]
+    assert note.startswith("simulated" if is_simulated else "not simulated")
+    assert "in a validation run (at most 0.1 lost)" in note
+
+
 @pytest.mark.parametrize("effect", ["exposure", "vignetting"])
 def test_what_cameras_do_to_a_laid_colour_makes_no_sky_of_it(effect):
     auto = plan(Settings(model=Model(background="white")))

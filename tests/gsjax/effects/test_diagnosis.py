@@ -26,7 +26,7 @@ from gsjax.scene import Pixels, with_pixels
 from gsjax.scene.cameras import pixel_rays
 from gsjax.settings import EFFECTS
 
-FIELDS = ["on", "evidence", "unit", "noise", "threshold", "note"]
+FIELDS = ["on", "evidence", "unit", "noise", "threshold", "note", "is_certain"]
 
 
 def decisions(scene) -> set[str]:
