@@ -65,7 +65,7 @@ def measured(folder: Path, scene: str, preset: str, vanilla: bool, seed: int) ->
 
     Its time is the processor's for the whole training command, without compilations, as other programs come and go.
     """
-    plain = ["schedule.vanilla=true", "supervision.stereo_weight=0"] if vanilla else []
+    plain = ["schedule.vanilla=true"] if vanilla else []
     path, _, downscale = scene.partition("@")
     settings = ["--downscale", downscale or "1", "--set", f"seed={seed}", *plain]
     before = _processor_seconds()

@@ -54,7 +54,7 @@ FAST = config.merge(
     _OWN,
     {
         "photos": {"cpu_pixels": 300_000},
-        "model": {"max_gaussians": 60_000},
+        "model": {"max_gaussians": 60_000, "stereo_points": 15_000},
         # The gradient at the means brings nothing more in so few steps (experiments/results/price_on_photos.md).
         "schedule": {"sh_every": 300, "phases": _phases(900, 200, 700, 350)},
         "rates": {"means": 1.28e-3},
@@ -66,7 +66,7 @@ QUICK = config.merge(  # small photos and their image alone: a step takes less t
     FAST,
     {
         "supervision": {"stereo_weight": 0},  # it takes as long as half of the steps
-        "model": {"max_gaussians": 36_000},
+        "model": {"max_gaussians": 36_000, "stereo_points": 0},
         "schedule": {"sh_every": 150, "phases": [_phase("coarse", 900, image_scale=2, density_control=True)]},
         "rates": {"means": RATES["means"], "sh_rest": 1e-3},
         "density": {"start": 30, "stop": 630, "every": 50},
@@ -75,7 +75,7 @@ QUICK = config.merge(  # small photos and their image alone: a step takes less t
 BALANCED = config.merge(
     _OWN,
     {
-        "model": {"max_gaussians": 120_000},
+        "model": {"max_gaussians": 120_000, "stereo_points": 30_000},
         "schedule": {"sh_every": 700, "phases": _phases(1500, 1500, 2500, 1500, sdf_normal=0.05)},
         "density": {"stop": 2700},
     },
@@ -83,7 +83,7 @@ BALANCED = config.merge(
 ACCURATE = config.merge(
     _OWN,
     {
-        "model": {"max_gaussians": 300_000},
+        "model": {"max_gaussians": 300_000, "stereo_points": 75_000},
         "schedule": {"sh_every": 1300, "phases": _phases(2500, 3500, 5000, 4000, sdf_normal=0.05)},
         "density": {"start": 100, "stop": 5400},
     },

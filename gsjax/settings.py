@@ -276,7 +276,7 @@ class Schedule:
     phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
     views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
     sh_every: int = 1000  # steps between the bands of the ramp
-    vanilla: bool = False  # vanilla 3DGS for the same number of steps: no entropy, no cull, no normals
+    vanilla: bool = False  # vanilla 3DGS for the same number of steps: no entropy, no cull, no normals, no stereo
     sparse_views: bool = False  # photos far apart are regularized (`gsjax.planning.sparse_views`)
     dropout: float = 0.0  # share of the Gaussians that each step leaves out, for few photos far apart
 

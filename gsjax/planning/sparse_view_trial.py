@@ -18,6 +18,7 @@ from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Scene, batches, preload, tracks_by_name
 from gsjax.scene.cameras import Camera, landing
 from gsjax.settings import Settings
+from gsjax.stereo import PhotoDepths, depths_of_photos
 from gsjax.training import optimizers
 from gsjax.training.plan import Plan, plan
 
@@ -61,7 +62,8 @@ def gain(scene: Scene, settings: Settings, change: Callable[[Plan], Plan]) -> Ga
         for fold in range(FOLDS):
             parted = tuple(replace(each, held_out=index % FOLDS == fold) for index, each in enumerate(frames))
             fold_scene = replace(scene, frames=parted)
-            scores = [score_variant(each, fold_scene, short, matched, bar.update) for each in variants]
+            depths = depths_of_photos(fold_scene)
+            scores = [score_variant(each, fold_scene, depths, short, matched, bar.update) for each in variants]
             pairs += zip(*scores, strict=True)
             so_far = _gain_of(pairs)
             if fold + 1 >= FEWEST_FOLDS and so_far.is_sure and not so_far.is_contradicted:
@@ -78,18 +80,24 @@ def _gain_of(pairs: Sequence[tuple[Score, Score]]) -> Gain:
 
 
 def score_variant(
-    variant: Variant, scene: Scene, settings: Settings, matched: Mapping[str, np.ndarray], observe: Observe
+    variant: Variant,
+    scene: Scene,
+    depths: PhotoDepths,
+    settings: Settings,
+    matched: Mapping[str, np.ndarray],
+    observe: Observe,
 ) -> list[Score]:
     """Scores of a scene's held-out photos after a validation run on the others.
 
     Args:
         variant: What is trained.
         scene: Its photos.
+        depths: Stereo depth of those that are trained on.
         settings: Of the validation run.
         matched: Name of a photo -> `[P, 3]` matched points.
         observe: Called after every step.
     """
-    started, _ = with_stereo_points(scene, variant.plan)
+    started, _ = with_stereo_points(scene, variant.plan, depths)
     model = replace(settings.model, max_gaussians=variant.plan.max_gaussians)
     state = first_state(started, model, variant.plan.rule, variant.optimizer, {}, rows=model.max_gaussians)
     state = variant.train(scene.train_frames, state, observe)

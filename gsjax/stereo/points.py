@@ -15,7 +15,7 @@ class StereoPoints(NamedTuple):
 
     points: np.ndarray  # [P, 3] float32 world
     colors: np.ndarray  # [P, 3] uint8
-    line: str  # their number and accuracy, in words
+    line: str  # their number, in words
 
 
 def stereo_points(swept: PhotoDepths, count: int) -> StereoPoints:
@@ -28,7 +28,7 @@ def stereo_points(swept: PhotoDepths, count: int) -> StereoPoints:
     points = np.concatenate([each.view.lift(each.depth) for each in swept.accepted])
     colors = np.concatenate([each.view.color[each.depth.is_confident] for each in swept.accepted])
     indices = spread_evenly(points, count)
-    line = f"{len(indices):,} more points where photos agree about depth ({swept.line})"
+    line = f"{len(indices):,} more points where photos agree about depth"
     return StereoPoints(points[indices].astype(np.float32), colors[indices], line)
 
 

@@ -267,7 +267,7 @@ def plan(
         rates=_rates(settings.rates, views, begin),
         density=_in_steps(settings.density, views, "start", "stop", "every", "reset_every"),
         logging=_in_steps(settings.logging, views, "metrics_every", "evaluate_every", "checkpoint_every"),
-        stereo_points=settings.model.stereo_points,
+        stereo_points=0 if settings.schedule.vanilla else settings.model.stereo_points,
         rule=rule,
         sky_weight=settings.effects.sky_weight,
     ).with_effects(tuple(effects))

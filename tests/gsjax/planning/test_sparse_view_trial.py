@@ -81,7 +81,7 @@ def trial_log(monkeypatch):
     """What validation runs are given; they score zero and 0.1 without the change, and `scores` and `offs` with it."""
     trials, scores, offs = [], [], {}
 
-    def score(way, scene, settings, matched, observe):
+    def score(way, scene, depths, settings, matched, observe):
         trials.append((way, [f.name for f in scene.held_out_frames]))
         is_held = way is not trials[0][0]
         numbers = [int(name[:3]) for name in trials[-1][1]]
@@ -117,7 +117,7 @@ def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, 
     (tmp_path / "two.ply").write_text(f"{header}end_header\n0 0 0\n1 0 0\n", encoding="utf-8")
     starts, matches = [], []
 
-    def score(way, scene, settings, matched, observe):
+    def score(way, scene, depths, settings, matched, observe):
         starts.append(scene.points)
         matches.append(matched)
         return [Score(0.0, None)] * 2

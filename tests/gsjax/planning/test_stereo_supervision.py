@@ -86,6 +86,12 @@ def test_presets_for_photos_ask_for_it_but_for_the_quickest():
     weights = {name: preset.get("supervision", {}).get("stereo_weight", 0) for name, preset in PRESETS.items()}
     photos = {"fast", "balanced", "accurate"}
     assert {name for name, stereo in weights.items() if stereo} == photos
+    points = {name: preset.get("model", {}).get("stereo_points", 0) for name, preset in PRESETS.items()}
+    assert {name: most for name, most in points.items() if most} == {
+        "fast": 15_000,
+        "balanced": 30_000,
+        "accurate": 75_000,
+    }
 
 
 def test_the_term_of_depth_is_in_every_phase_until_there_is_no_depth():

@@ -70,7 +70,8 @@ def test_every_step_leaves_out_the_share_that_was_asked_for_and_its_record_says_
 
 
 def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
-    plain = plan(SETTINGS.replace(schedule={"vanilla": True}))
+    plain = plan(SETTINGS.replace(schedule={"vanilla": True}, model={"stereo_points": 100}))
+    assert plain.stereo_points == 0
     assert [terms(phase) for phase in plain.phases] == 2 * [{"l1": 0.8, "dssim": 0.2, "alpha": 0.1}]
     assert [(p.steps, p.cull_below, p.surface_every, p.surface_scale) for p in plain.phases] == [
         (500, 0.0, 1, 1),
