@@ -134,9 +134,9 @@ def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
 )
 def test_pure_white_is_a_background_unless_validation_loses_by_it(gain, error, is_simulated):
     white, over_black = painted(lambda y, x: np.array([255, 255, 255])), plan(Settings())
-    chosen = choose_effects("auto", over_black, white, lambda *_: {"background": Validated(gain, error)})
-    assert ("background" in chosen.effects) == is_simulated
-    note = chosen.evidence["evidence"]["background"]["note"]
+    taken_in = choose_effects("auto", over_black, white, lambda *_: {"background": Validated(gain, error)})
+    assert ("background" in taken_in.effects) == is_simulated
+    note = taken_in.evidence["evidence"]["background"]["note"]
     assert note.startswith("simulated" if is_simulated else "not simulated")
     assert "in a validation run (at most 0.1 lost)" in note
 
