@@ -65,9 +65,8 @@ def measured(folder: Path, scene: str, preset: str, vanilla: bool, seed: int) ->
 
     Its time is the processor's for the whole training command, without compilations, as other programs come and go.
     """
-    plain = ["schedule.vanilla=true"] if vanilla else []
     path, _, downscale = scene.partition("@")
-    settings = ["--downscale", downscale or "1", "--set", f"seed={seed}", *plain]
+    settings = ["--downscale", downscale or "1", "--set", f"seed={seed}", f"schedule.vanilla={str(vanilla).lower()}"]
     before = _processor_seconds()
     _gsjax("train", path, "--out", str(folder), "--preset", preset, *settings)
     seconds = _processor_seconds() - before

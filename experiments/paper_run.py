@@ -1,9 +1,8 @@
 """What does one run of the paper's protocol reach on one scene? Trains, meshes, textures, draws, refines and scores.
 
-    python experiments/paper_run.py SCENE DATA OUT [--schedule NAME] [--seed N] [--earlier RUN]
+    python experiments/paper_run.py SCENE DATA OUT [--schedule NAME] [--seed N]
 
-Resumes where it stopped. `reproduce.py` does all of them. With `--earlier`, the steps that this training has in common
-with that of another run folder are not taken again: two schedules then part at the same Gaussians.
+Resumes where it stopped. `reproduce.py` does all of them.
 """
 
 import argparse
@@ -81,8 +80,6 @@ def run(
     assignments: Sequence[str] = (),
     refinement: Sequence[str] = (),
     lpips: Sequence[str] = (),
-    earlier: Path | None = None,
-    only: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Every stage that is not done yet; OUT/result.json is written after each.
 
@@ -96,8 +93,6 @@ def run(
         assignments: key=value of the training.
         refinement: key=value of the refinement.
         lpips: Files of weights.
-        earlier: Run folder of a training with the same settings until the phases part, see `gsjax.pipeline.train`.
-        only: Stages to do, in any order; what they need must be there. None: all.
 
     Raises:
         InputError: A stage cannot be done, or `out` was begun with other settings.
@@ -106,9 +101,9 @@ def run(
 
     wishes = run_settings(scene, schedule, seed, assignments, refinement)
     result = read_result(out, wishes, lpips)
-    stages = _stages(data, out, wishes, lpips, SCHEDULES[schedule].regulariser, earlier)
+    stages = _stages(data, out, wishes, lpips, SCHEDULES[schedule].regulariser)
     for name in _stage_names(wishes):
-        if name not in result and (only is None or name in only):
+        if name not in result:
             print(f"== {scene}, {schedule}, seed {seed}: {name}", flush=True)
             result[name] = stages[name]()
             result |= {"lpips": list(lpips), "machine": machine(), "versions": versions()}
@@ -121,12 +116,7 @@ def _stage_names(wishes: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _stages(
-    data: Path,
-    out: Path,
-    wishes: Mapping[str, Any],
-    lpips: Sequence[str],
-    regulariser: str | None,
-    earlier: Path | None = None,
+    data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[str], regulariser: str | None
 ) -> dict[str, Callable[[], Any]]:
     from paper.sheet import draw_sheet
 
@@ -135,7 +125,7 @@ def _stages(
 
     trained, refined = out / "run", out / "refined"
     return {
-        "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"]), earlier),
+        "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"])),
         "coarse": lambda: _scores(trained, lpips),
         "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", **wishes["mesh"]),
         "texture": lambda: pipeline.texture(trained, trained / "mesh.ply", out / "textured.glb"),
@@ -147,7 +137,7 @@ def _stages(
     }
 
 
-def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = None) -> dict[str, Any]:
+def _train(data: Path, folder: Path, settings: Settings) -> dict[str, Any]:
     from terms import terms_of_scene
 
     from gsjax import pipeline, runs
@@ -155,9 +145,7 @@ def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = 
     before = folder.parent / "before.ply"
     keep, goes_on = partial(_keep_before, before, settings), _goes_on(folder)
     terms = terms_of_scene(data, settings)
-    summary = pipeline.train(data, folder, settings, terms=terms, resume=goes_on, warm_start=earlier, observe=keep)
-    if earlier is not None and not before.exists():
-        _keep_those_of(earlier, before, settings)
+    summary = pipeline.train(data, folder, settings, terms=terms, resume=goes_on, observe=keep)
     most = max((record["gaussians"] for record in runs.read_metrics(folder) if "gaussians" in record), default=0)
     cap = {
         "most_gaussians": most,
@@ -165,10 +153,7 @@ def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = 
         "cap_bound": most >= settings.model.max_gaussians,
     }
     if cap["cap_bound"]:
-        print(
-            f"paper_run: {folder}: limited to max_gaussians={settings.model.max_gaussians:,}",
-            file=sys.stderr,
-        )
+        print(f"paper_run: {folder}: limited to max_gaussians={settings.model.max_gaussians:,}", file=sys.stderr)
     return {**summary, **cap, "normals": json_files.read(folder / "config.json")["supervision"]["normals"]}
 
 
@@ -178,24 +163,6 @@ def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
 
     if progress.phase_done and progress.step == _regularised_from(settings):
         write_gaussians(file, progress.state.gaussians.alive())
-
-
-def _keep_those_of(earlier: Path, file: Path, settings: Settings) -> None:
-    """Writes the Gaussians before the first phase with a regulariser as an earlier run has them.
-
-    It ends there, or has gone through the same steps and kept them.
-    """
-    from gsjax import runs
-    from gsjax.io.ply import write_gaussians
-    from gsjax.runs.result import open_result
-    from gsjax.runs.run import Run
-
-    begin, earlier_file = _regularised_from(settings), earlier.parent / file.name
-    theirs = config.parse(Settings, runs.read_settings(earlier), where=f"{earlier}/config.json")
-    if Run.open(earlier).manifest.get("steps") == begin:
-        write_gaussians(file, open_result(earlier).gaussians)
-    elif earlier_file.exists() and _regularised_from(theirs) == begin:
-        shutil.copyfile(earlier_file, file)
 
 
 def _regularised_from(settings: Settings) -> int:
@@ -236,13 +203,9 @@ def main() -> None:
     add("--set", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the training by their dotted keys")
     add("--refine", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the refinement")
     add("--lpips", action="append", default=[], metavar="FILE", help="weights of LPIPS, as for `gsjax eval`")
-    add("--earlier", type=Path, metavar="RUN", help="run folder of another training, with which this one has its first"
-        " steps in common: they are not taken again")  # fmt: skip
-    add("--stages", nargs="+", choices=STAGES, metavar="STAGE", help=f"stages to do, of {', '.join(STAGES)} (default:"
-        " all)")  # fmt: skip
     a = parser.parse_args()
     result = run(a.scene, a.data, a.out, schedule=a.schedule, seed=a.seed, assignments=a.set, refinement=a.refine,
-                 lpips=a.lpips, earlier=a.earlier, only=a.stages)  # fmt: skip
+                 lpips=a.lpips)  # fmt: skip
     print(tables.record({kind: result[kind] for kind in ("coarse", "refined") if kind in result}))
 
 

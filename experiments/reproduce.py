@@ -4,8 +4,7 @@
         [--set-scene NAME KEY=VALUE ...]
 
 Runs what it finds under a root. A finished run is not done again, a stopped one continues, and one that fails leaves a
-dash. What two schedules of a scene and a seed have in common is trained once where the first of them has a checkpoint
-of it. Writes OUT/tables.md and .csv next to the runs, OUT/SCENE/SCHEDULE_SEED each.
+dash. Writes OUT/tables.md and .csv next to the runs, OUT/SCENE/SCHEDULE_SEED each.
 """
 
 import argparse
@@ -16,9 +15,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from paper import report
-from paper.beginnings import nearest
 from paper.measured import found_runs, measurements, methods, run_folder
-from paper.scenes import DEFAULT_SCHEDULES, SCENES, SCHEDULES, R, discover, settings_of
+from paper.scenes import DEFAULT_SCHEDULES, SCENES, SCHEDULES, R, discover
 from paper_run import is_finished, read_result, run_settings
 
 from gsjax.cli import parsers, run_guarded
@@ -111,10 +109,6 @@ def in_own_process(job: Job, options: Options) -> int:
     command += ["--set", *assignments] if assignments else []
     command += ["--refine", *options.refinement] if options.refinement else []
     command += [argument for file in options.lpips for argument in ("--lpips", str(file))]
-    settings = settings_of(job.scene, job.schedule, job.seed, assignments)
-    others = (job.out.with_name(f"{other}_{job.seed}") / "run" for other in SCHEDULES if other != job.schedule)
-    earlier = nearest(others, settings)
-    command += [] if earlier is None else ["--earlier", str(earlier)]
     code = subprocess.run(command).returncode
     if code == 130:  # Interrupted by the user, who means all of it.
         raise KeyboardInterrupt
@@ -182,8 +176,6 @@ def main() -> None:
     add("--lpips", action="append", default=[], metavar="FILE", help="weights of LPIPS, as for `gsjax eval`; may be"
         " repeated (default: LPIPS is a dash)")  # fmt: skip
     arguments = parser.parse_args()
-    if arguments.seeds < 1:
-        raise InputError(f"--seeds {arguments.seeds} is below 1")
     for file in arguments.lpips:
         if not Path(file).is_file():
             raise InputError(f"{file}: no such file of weights")

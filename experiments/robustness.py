@@ -1,26 +1,25 @@
 """Does anything break it? Stops, full disks, damaged files, other worlds, large files: each tried and counted.
 
-    python experiments/robustness.py --out DIR [PART ...] [--only WORD ...] [--minutes M]
+    python experiments/robustness.py --out DIR [PART ...] [--only WORD ...]
 
 Commands run on built-in scenes of a few photos. They are stopped at random moments by SIGKILL, SIGTERM and SIGINT and
 called again; their disk is full before they are done; readers meet damaged files, those of their own tests. Prints the
-tables of docs/robustness.md. Called again it continues after what is done; with --minutes it begins nothing after them,
-with --only no row that has none of the words in its name.
+tables of docs/robustness.md. Called again it continues after what is done; with --only it measures rows with one of the
+words in their names.
 Disks need Linux and its user namespaces. All parts take an hour or more on 2 cores.
 """
 
 import argparse
 import json
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
 from breaking import PARTS, Part
 
 
-def measured(part: Part, file: Path, folder: Path, until: float, only: Sequence[str] = ("",)) -> dict[str, list[str]]:
-    """The whole rows of a part: those of a file, and what is measured until a moment, which the file keeps.
+def measured(part: Part, file: Path, folder: Path, only: Sequence[str] = ("",)) -> dict[str, list[str]]:
+    """The whole rows of a part: those of a file, and what is measured now, which the file keeps.
 
     Only rows are measured that have one of the words `only` in their names.
     """
@@ -30,8 +29,6 @@ def measured(part: Part, file: Path, folder: Path, until: float, only: Sequence[
         done = record.setdefault(name, [])
         is_selected = any(word in name for word in only)
         for measure in measurements[len(done) :] if is_selected else ():
-            if time.monotonic() > until:
-                break
             done.append(measure())
             file.write_text(json.dumps(record, indent=1))
             print(f"{name}: {', '.join(done[-1])}", file=sys.stderr)
@@ -49,20 +46,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(PARTS)}; all where none is named")
     parser.add_argument("--out", type=Path, required=True, help="folder to work in")
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no row after so many")
     parser.add_argument("--only", metavar="WORD", nargs="+", default=[""], help="measure rows with a word in the name")
     arguments = parser.parse_args()
     unknown = [name for name in arguments.parts if name not in PARTS]
     if unknown:
         parser.error(f"no part {unknown[0]}; there are {', '.join(PARTS)}")
-    until = time.monotonic() + 60 * arguments.minutes
     folder = arguments.out.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     for name in arguments.parts or PARTS:
-        print(
-            table(PARTS[name], measured(PARTS[name], folder / f"{name}.json", folder, until, arguments.only)),
-            flush=True,
-        )
+        rows = measured(PARTS[name], folder / f"{name}.json", folder, arguments.only)
+        print(table(PARTS[name], rows), flush=True)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from breaking import damage, disks, memory, stops, worlds
+from breaking import damage, disks, memory, soak, stops, worlds
 from breaking.commands import Rows
 
 
@@ -18,5 +18,5 @@ class Part(NamedTuple):
 
 PARTS = {
     module.__name__.rpartition(".")[2]: Part(module.TITLE, module.COLUMNS, module.rows)
-    for module in (stops, disks, damage, worlds, memory)
+    for module in (stops, disks, damage, worlds, memory, soak)
 }
