@@ -25,6 +25,7 @@ THRESHOLD = 1.2  # times the error at infinity, which any other place of the lig
 LARGE_ROOM = 2 / 3  # of that threshold, for rooms far larger than what was matched: a sky is hardly different from them
 BLUE, BLUE_RANGE, BLUE_BONUS = 0.5, 0.3, 1.25  # EV of green over red; EV that it changes by; times the score,
 UNDECIDED = 1.05  # which must be this much without: that of an even colour is 1 within some hundredths
+VIVID, VIVID_RANGE = 0.7, 0.4  # EV, of a blue that no plaster has: that of painted rooms changes by 0.1
 SHARE = 0.25  # of the photos
 FEWEST = 2  # photos
 OPEN = 0.05  # of a photo's pixels, and
@@ -94,16 +95,22 @@ def judge_masks(observations: Observations, masks: Masks, compared: Parallax | N
     note = summary(masks, observations.frames) if value > THRESHOLD else f"no sky: {PLAIN}"
     note += f"; at a near surface x{compared.near:.2f}, a far one x{compared.far:.2f}, fixed to the photo"
     note += f" x{compared.fixed:.2f}; green over red {compared.blueness:.2f} EV, changing by {compared.blue_range:.2f}"
-    return Evidence(value > THRESHOLD, value, unit, 1.0, THRESHOLD, note)
+    return Evidence(value > THRESHOLD, value, unit, 1.0, THRESHOLD, note, is_certain=True)
 
 
 PLAIN = "a ceiling, a wall or a sky that looks like one"
 
 
 def score(compared: Parallax) -> float:
-    """How many times worse than infinity the likeliest surface explains the photos; a blue that changes adds to it."""
+    """How many times worse than infinity the likeliest surface explains the photos; a blue that changes adds to it.
+
+    Photos of nearly one place hardly tell infinity from a far wall: there a vivid blue that no near wall explains
+    better is enough.
+    """
     is_blue = compared.blueness > BLUE and compared.blue_range > BLUE_RANGE
     likeliest = min(compared.near, compared.fixed)
+    if compared.blueness > VIVID and compared.blue_range > VIVID_RANGE and likeliest >= 1:
+        return BLUE_BONUS * likeliest
     bonus = BLUE_BONUS if is_blue and likeliest > UNDECIDED else 1.0
     return min(bonus * likeliest, compared.far / LARGE_ROOM)
 

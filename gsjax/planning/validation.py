@@ -139,8 +139,8 @@ class Validated(NamedTuple):
 
     @property
     def loses(self) -> bool:
-        """Whether the change does harm."""
-        return self.gain <= -WORTH and self.gain < -self.error
+        """Whether the change certainly does harm."""
+        return self.gain <= -WORTH and self.gain < -2 * self.error
 
     def __str__(self):
         return f"{self.gain:+.2f} +-{self.error:.2f} dB"
