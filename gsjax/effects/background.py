@@ -52,7 +52,7 @@ def judge(findings: "Findings") -> Evidence:
     note += "; pure white" if is_white else f"; a wall explains it x{far:.2f} as badly as infinity"
     is_on = is_white or far > sky.THRESHOLD
     note += "" if is_on else f", needs {sky.THRESHOLD}: off"
-    # Gaussians can paint pure white as well, before the cameras of other photos: short validation runs do not show it.
+    # Gaussians that paint pure white stand before the cameras of other photos, which validation runs do not show.
     return Evidence(is_on, value, "share of photos", noise, THRESHOLD, note, is_certain=is_white)
 
 

@@ -12,7 +12,7 @@ class Evidence(NamedTuple):
     noise: float | None  # what `value` may be off by, or what it is where the effect is absent
     threshold: float  # `on` needs a larger value
     note: str
-    is_certain: bool = False  # a validation run need not gain by the effect: only a loss rejects it
+    is_certain: bool = False  # the effect is simulated without a validation run
 
     def record(self) -> dict[str, Any]:
         """Plain values for a file; the statistic is called evidence there."""

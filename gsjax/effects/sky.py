@@ -95,6 +95,7 @@ def judge_masks(observations: Observations, masks: Masks, compared: Parallax | N
     note = summary(masks, observations.frames) if value > THRESHOLD else f"no sky: {PLAIN}"
     note += f"; at a near surface x{compared.near:.2f}, a far one x{compared.far:.2f}, fixed to the photo"
     note += f" x{compared.fixed:.2f}; green over red {compared.blueness:.2f} EV, changing by {compared.blue_range:.2f}"
+    # The pictures of validation runs do not show the gain, that Gaussians near the surface paint no sky.
     return Evidence(value > THRESHOLD, value, unit, 1.0, THRESHOLD, note, is_certain=True)
 
 
@@ -104,8 +105,8 @@ PLAIN = "a ceiling, a wall or a sky that looks like one"
 def score(compared: Parallax) -> float:
     """How many times worse than infinity the likeliest surface explains the photos; a blue that changes adds to it.
 
-    Photos of nearly one place hardly tell infinity from a far wall: there a vivid blue that no near wall explains
-    better is enough.
+    Photos of nearly one place hardly distinguish infinity from a far wall: there a vivid blue that no near wall
+    explains better is enough.
     """
     is_blue = compared.blueness > BLUE and compared.blue_range > BLUE_RANGE
     likeliest = min(compared.near, compared.fixed)

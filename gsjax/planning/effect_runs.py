@@ -12,7 +12,6 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.effects import sky
 from gsjax.effects.appearance import Start, appearances, moves, simulations, start
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import HOLD, RATE, Effect, Effects, EffectState
@@ -31,8 +30,8 @@ from gsjax.training.state import TrainState
 HURRY = 10  # times a run's learning rate: of colours and effects, as there are few steps
 ACROSS, EVERY = 4, 4  # blocks across the longer side of a photo; one in so many is held out
 
-Initial = Callable[[Settings, Optimizer, Effects, sky.Masks], TrainState]
-"""(validation run, optimiser, effects, sky masks) -> step 0 from the run's points."""
+Initial = Callable[[Settings, Optimizer, Effects], TrainState]
+"""(validation run, optimiser, effects) -> step 0 from the run's points."""
 
 
 class _Program(NamedTuple):
@@ -40,7 +39,6 @@ class _Program(NamedTuple):
 
     variant: Variant
     effects: Effects  # all of them, each with a switch
-    skies: sky.Masks
 
 
 @dataclass(frozen=True)
@@ -48,24 +46,22 @@ class EffectRuns:
     """What all validation runs of a scene's effects share."""
 
     settings: Settings  # of a validation run, of one phase
-    sky_weight: float  # of the term `sky`
     extent: float  # camera extent, scene units
     initial: Initial
     proposed: Sequence[str]
     observations: Observations  # of these frames, outside of their held-out pixels
     frames: Sequence[Frame]
     held_out: Sequence[np.ndarray]  # [H, W] bool a frame
-    skies: sky.Masks  # where photos show sky
 
     def predict(self, names: Sequence[str], *, observe: Observe) -> list[np.ndarray]:
         """`[H, W, 3]` pictures of all frames after a run that simulates the named effects, as their cameras took them.
 
         The run has the photometric loss alone and no densification.
         """
-        program = self._with_sky if "sky" in names else self._without_sky
-        start_values = start(self.observations, names, program.skies)
+        program = self._program
+        start_values = start(self.observations, names)
         on = simulations(start_values, names, _rate)
-        state = self.initial(self.settings, program.variant.optimizer, program.effects, program.skies)
+        state = self.initial(self.settings, program.variant.optimizer, program.effects)
         if state.effects is not None:
             numbers = {name: self._numbers(name, each, on) for name, each in program.effects.items()}
             state = replace(state, effects=replace(state.effects, numbers=numbers))
@@ -89,20 +85,12 @@ class EffectRuns:
         return compared(without, with_effect, photos, valid, held_out)
 
     @cached_property
-    def _without_sky(self) -> _Program:
-        return self._program([name for name in self.proposed if name != "sky"], {})
-
-    @cached_property
-    def _with_sky(self) -> _Program:
-        """Sky has a term of its own in the loss."""
-        return self._program(["background", *self.proposed], self.skies)
-
-    def _program(self, names: Sequence[str], skies: sky.Masks) -> _Program:
-        planned = replace(plan(self.settings), sky_weight=self.sky_weight).with_effects(names)
+    def _program(self) -> _Program:
+        planned = plan(self.settings).with_effects(self.proposed)
         optimizer = optimizers.make_optimizer(planned.rates, self.extent, planned.steps)
-        effects = simulations(start(self.observations, names, skies), names, _rate)
+        effects = simulations(start(self.observations, self.proposed), self.proposed, _rate)
         effects = {name: switchable(effect) for name, effect in effects.items()}
-        return _Program(Variant(planned, optimizer, self.extent, effects, skies), effects, skies)
+        return _Program(Variant(planned, optimizer, self.extent, effects), effects)
 
     def _numbers(self, name: str, effect: Effect, on: Effects) -> tuple[Array, Any]:
         """The numbers of an effect at step 0, its switch before them; a background that is off has the run's colour."""

@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.effects import sky
 from gsjax.effects.observations import Observations
 from gsjax.planning.effect_runs import HURRY, EffectRuns, Initial, held_out_blocks, without_blocks
 from gsjax.planning.pace import FIXED_COST, relative_cost
@@ -27,11 +26,8 @@ SHORTEST = 600  # steps of a run that is validated
 SIDE = 96  # pixels of the longest photo, about: the smaller, the sooner a run shows what remains to be explained
 PHOTOS, NEIGHBORS = 48, 6  # that validation runs are trained on, in groups of consecutive ones, which overlap
 RENDERED = 0.3  # of a step's time, rendering a photo
-PARTS = {"sky": ("background", "sky")}
-"""The effects that an effect is simulated with, where that is not itself alone."""
-
-Validate = Callable[[Observations, Sequence[str], sky.Masks], dict[str, Validated]]
-"""(photos, proposed effects, where photos show sky) -> the gain of each proposed."""
+Validate = Callable[[Observations, Sequence[str]], dict[str, Validated]]
+"""(photos, proposed effects) -> the gain of each proposed."""
 
 
 def steps_of_each(planned: Plan, frames: Sequence[Frame], count: int) -> int | None:
@@ -67,7 +63,7 @@ class EffectValidation:
     extent: float  # camera extent, scene units
     initial: Initial
 
-    def __call__(self, observations: Observations, proposed: Sequence[str], skies: sky.Masks) -> dict[str, Validated]:
+    def __call__(self, observations: Observations, proposed: Sequence[str]) -> dict[str, Validated]:
         """The gain of each proposed effect, added to those before it that passed.
 
         Empty where the run is too short.
@@ -78,10 +74,7 @@ class EffectValidation:
         frames = tuple(map(preload, chosen_photos(self.frames)))
         blocks = [held_out_blocks(frame, index) for index, frame in enumerate(frames)]
         observations = without_blocks(observations, frames, blocks)
-        weight = self.planned.sky_weight
-        runs = EffectRuns(
-            self._short(steps), weight, self.extent, self.initial, proposed, observations, frames, blocks, skies
-        )
+        runs = EffectRuns(self._short(steps), self.extent, self.initial, proposed, observations, frames, blocks)
         total, title = (len(proposed) + 1) * steps, f"validating {', '.join(proposed)}"
         with tqdm(total=total, desc=title, unit="step", leave=False) as bar:
             return select(proposed, partial(runs.predict, observe=bar.update), runs.compare)
@@ -105,20 +98,17 @@ def select(
     """Forward selection: every effect is compared with those that passed before it.
 
     Args:
-        proposed: The effects, in turn. One that is part of another one that passed is not compared.
+        proposed: The effects, in turn.
         predict: Effects that are simulated -> pictures.
         compare: (pictures without an effect, with it) -> its gain.
     """
     passed: tuple[str, ...] = ()
     without, gains = predict(passed), {}
     for name in proposed:
-        if name in passed:
-            continue
-        names = (*passed, *PARTS.get(name, (name,)))
-        with_effect = predict(names)
+        with_effect = predict((*passed, name))
         gains[name] = compare(without, with_effect)
         if gains[name].passes:
-            passed, without = names, with_effect
+            passed, without = (*passed, name), with_effect
     return gains
 
 

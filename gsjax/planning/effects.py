@@ -26,7 +26,7 @@ from gsjax.effects.evidence import Evidence
 from gsjax.effects.observations import observe
 from gsjax.effects.simulation import Effects, EffectState, learning_rate
 from gsjax.errors import InputError
-from gsjax.planning.effect_validation import PARTS, Validate
+from gsjax.planning.effect_validation import Validate
 from gsjax.planning.validation import WORTH, Validated
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Scene
@@ -197,15 +197,14 @@ def _decided(
     if before is not None:
         stored = before.get("validated", {})
         return {*before["simulated"]}, {name: Validated(**each) for name, each in stored.items()}
-    validated = validate(findings.observations, proposed, findings.sky) if validate and proposed else {}
+    certain = {name for name in proposed if findings.effects[name].is_certain}
+    if "sky" in certain:
+        certain |= {"background"}  # what its term uncovers
+    doubtful = [name for name in proposed if name not in certain]
+    validated = validate(findings.observations, doubtful) if validate and doubtful else {}
     if not validated:
-        return {name for name in proposed if name in UNVALIDATED and _is_strong(findings.effects[name])}, {}
-    passed = [name for name, each in validated.items() if _is_confirmed(findings.effects[name], each)]
-    return {part for name in passed for part in PARTS.get(name, (name,))}, validated
-
-
-def _is_confirmed(evidence: Evidence, validated: Validated) -> bool:
-    return not validated.loses if evidence.is_certain else validated.passes
+        return certain | {name for name in doubtful if name in UNVALIDATED and _is_strong(findings.effects[name])}, {}
+    return certain | {name for name, each in validated.items() if each.passes}, validated
 
 
 def _is_strong(evidence: Evidence) -> bool:
@@ -220,8 +219,8 @@ def _noted(
     for name in proposed:
         decision = "simulated" if name in selection else "not simulated"
         why = "not validated, the run is too short"
-        least = f"at most {WORTH:g} lost" if findings.effects[name].is_certain else f"needs {WORTH:g}"
-        why = f"gains {validated[name]} in a validation run ({least})" if name in validated else why
+        why = f"gains {validated[name]} in a validation run (needs {WORTH:g})" if name in validated else why
+        why = "certain without validation" if findings.effects[name].is_certain else why
         why = "part of the sky" if name == "background" and "sky" in selection else why
         notes[name] = findings.effects[name]._replace(note=f"{decision}: {why}; {findings.effects[name].note}")
     return notes

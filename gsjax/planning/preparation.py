@@ -13,7 +13,6 @@ from tqdm import tqdm
 
 from gsjax import runs
 from gsjax.effects.simulation import Effects
-from gsjax.effects.sky import Masks
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.planning import sparse_view_trial
@@ -236,8 +235,8 @@ def _choose_effects(
     settings, scene = request.settings, inspected.scene
     sized = settings.replace(model={"max_gaussians": planned.max_gaussians})
 
-    def initial(short: Settings, optimizer: Any, effects: Effects, skies: Masks) -> TrainState:
-        return first_state(start, short.model, rule_named(short.density.rule), optimizer, effects, skies=skies)
+    def initial(short: Settings, optimizer: Any, effects: Effects) -> TrainState:
+        return first_state(start, short.model, rule_named(short.density.rule), optimizer, effects)
 
     validate = EffectValidation(sized, planned, scene.train_frames, extent, initial)
     return choose_effects(

@@ -3,13 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from gsjax.config import parse
-from gsjax.effects import sky, transients
+from gsjax.effects import transients
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.metrics.images import in_decibels
 from gsjax.presets import QUICK
@@ -69,14 +68,7 @@ def short_settings(settings: Settings, frames: Sequence[Frame], points: int, sid
 class Variant:
     """One way to train. All its validation runs share their buffers and their compiled programs."""
 
-    def __init__(
-        self,
-        plan: Plan,
-        optimizer: Optimizer,
-        extent: float,
-        effects: Effects = NO_EFFECTS,
-        skies: sky.Masks = MappingProxyType({}),
-    ):
+    def __init__(self, plan: Plan, optimizer: Optimizer, extent: float, effects: Effects = NO_EFFECTS):
         """Before the first run.
 
         Args:
@@ -84,10 +76,9 @@ class Variant:
             optimizer: That makes its states.
             extent: Camera extent of all training cameras, scene units.
             effects: Those that are simulated, of the photos that the runs are trained on.
-            skies: Sky masks, where the plan has the term `sky`.
         """
         self.plan, self.optimizer = plan, optimizer
-        self._extent, self._effects, self._skies = extent, effects, skies
+        self._extent, self._effects = extent, effects
         self._capacity: int | None = None  # of the pair buffer, as the last run left it
         self._make_step = _kept_steps(effects) if effects else kept_step  # which keeps such steps for all variants
 
@@ -105,7 +96,6 @@ class Variant:
             self.optimizer,
             observe=note,
             effects=self._effects,
-            skies=self._skies,
             make_step=self._make_step,
         )
         return follow(work, state, self._capacity)
@@ -136,11 +126,6 @@ class Validated(NamedTuple):
     def passes(self) -> bool:
         """Whether the change is worth making."""
         return self.gain >= WORTH and self.gain > self.error
-
-    @property
-    def loses(self) -> bool:
-        """Whether the change certainly does harm."""
-        return self.gain <= -WORTH and self.gain < -2 * self.error
 
     def __str__(self):
         return f"{self.gain:+.2f} +-{self.error:.2f} dB"

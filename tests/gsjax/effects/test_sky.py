@@ -16,7 +16,6 @@ from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import choose_effects
 from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.start import first_state
-from gsjax.planning.validation import Validated
 from gsjax.rendering import backdrop
 from gsjax.runs.records import read_views
 from gsjax.runs.result import write_views
@@ -271,10 +270,9 @@ def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(sky_scene)
     mask_choice = choose_effects("none", plan(settings), scene, skies={"3.png": truth["3.png"]})
     assert mask_choice.names == ("background", "sky") and list(mask_choice.skies) == ["3.png"]
     assert choose_effects("none", plan(settings), scene).names == ()
-    assert choose_effects("auto", plan(settings), scene).names == (), "not validated"
-    for gain, names in ((1.0, choice.names), (-1.0, ())):
-        validated = {"sky": Validated(gain, 0.1)}
-        assert choose_effects("auto", plan(settings), scene, lambda *_, verdict=validated: verdict).names == names
+    certain = choose_effects("auto", plan(settings), scene, lambda *_: pytest.fail("nothing is in doubt"))
+    assert certain.names == choice.names
+    assert certain.evidence["evidence"]["sky"]["note"].startswith("simulated: certain without validation; ")
     assert choose_effects("exposure", plan(settings), scene).names == ("exposure",)
 
 

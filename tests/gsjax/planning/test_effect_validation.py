@@ -66,8 +66,8 @@ def validation(scene, settings=SETTINGS):
         plan(settings),
         scene.train_frames,
         training_extent(scene),
-        lambda short, optimizer, effects, skies: first_state(
-            scene, short.model, rule_named(short.density.rule), optimizer, effects, skies=skies
+        lambda short, optimizer, effects: first_state(
+            scene, short.model, rule_named(short.density.rule), optimizer, effects
         ),
     )
 
@@ -86,7 +86,7 @@ def test_a_real_falloff_passes_and_an_invented_one_does_not(scene, kind):
     assert estimated is not None
     corner = -vignetting.corner(observations, estimated)[0]
     assert corner > 0.1 or kind == "clean"
-    verdict = validation(photos)(observations, ("vignetting",), {})["vignetting"]
+    verdict = validation(photos)(observations, ("vignetting",))["vignetting"]
     assert verdict.passes == (kind == "vignetting")
     assert verdict.gain < 0.05 or kind == "vignetting"
 
@@ -164,13 +164,12 @@ def test_effects_start_from_what_is_not_held_out():
 
 
 def test_effects_are_selected_one_after_the_other():
-    """A sky brings its background with it, which is then not compared again."""
-    worth = {"exposure": 0.3, "vignetting": -0.2, "sky": 0.5, "background": 9.0, "transients": 0.05}
+    worth = {"exposure": 0.3, "vignetting": -0.2, "background": 0.5, "transients": 0.05}
     requests = []
 
     def predict(names):
         requests.append(tuple(names))
-        return [np.float64(sum(worth[name] for name in names if name != "background"))]
+        return [np.float64(sum(worth[name] for name in names))]
 
     def compare(without, with_effect):
         return Validated(float(with_effect[0] - without[0]), 0.01)
@@ -180,13 +179,13 @@ def test_effects_are_selected_one_after_the_other():
         (),
         ("exposure",),
         ("exposure", "vignetting"),
-        ("exposure", "background", "sky"),
-        ("exposure", "background", "sky", "transients"),
+        ("exposure", "background"),
+        ("exposure", "background", "transients"),
     ]
     assert {name: each.passes for name, each in verdicts.items()} == {
         "exposure": True,
         "vignetting": False,
-        "sky": True,
+        "background": True,
         "transients": False,
     }
 
@@ -253,7 +252,7 @@ def test_evidence_proposes_and_validation_decides(gain, simulated, capsys):
     photos = relit(wall(), lambda index, frame, x, y: true[index] - 0.4 * radii2(frame, x, y))
     calls = []
 
-    def validate(observations, proposed, skies):
+    def validate(observations, proposed):
         calls.append(list(proposed))
         return {"exposure": Validated(0.5, 0.02), "vignetting": Validated(gain, 0.02)}
 
