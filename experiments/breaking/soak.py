@@ -21,7 +21,6 @@ SCENES: dict[str, dict[str, Any]] = {
     "white photos": {"light": (255, 256)},
     "photos of noise": {"light": (0, 256)},
     "one photo": {"photos": 1},
-    "two photos": {"photos": 2},
     "points at one place": {"spread": 1e-7},
     "points a million units away": {"spread": 1e6},
 }
@@ -45,10 +44,9 @@ def _soak(folder: Path, name: str, preset: str) -> list[str]:
 
     if not (folder / "scene").exists():
         analytic_scene.write(folder / "scene", num_views=VIEWS, size=(SIDE, SIDE))
-    for each in ("changed", "run"):
-        shutil.rmtree(folder / each, ignore_errors=True)
-    shutil.copytree(folder / "scene", folder / "changed")
-    full = presets.preset(preset, config.merge(SETTINGS, _change(folder / "changed", **SCENES[name])))
+    shutil.rmtree(changed := folder / "changed", ignore_errors=True)
+    shutil.copytree(folder / "scene", changed)
+    full = presets.preset(preset, config.merge(SETTINGS, _change(changed, **SCENES[name])))
     phases = tuple(replace(phase, steps=round(SHARE * phase.steps)) for phase in full.schedule.phases)
     density = {"start": 10, "every": 10, "stop": round(SHARE * full.density.stop)}
     losses, parameters, refusal = [], [], ""
@@ -59,7 +57,7 @@ def _soak(folder: Path, name: str, preset: str) -> list[str]:
 
     try:
         settings = full.replace(schedule={"phases": phases}, density=density)
-        pipeline.train(folder / "changed", folder / "run", settings, observe=observe)
+        pipeline.train(changed, changed / "run", settings, observe=observe)
     except InputError as error:
         refusal = str(error).rpartition("/")[2]
     return [str(len(losses)), str(losses.count(False)), str(parameters.count(False)), refusal]
@@ -70,17 +68,18 @@ def _change(
 ) -> dict[str, Any]:
     """Change photos, their number, or the points that training starts from; return the settings that read these."""
     import numpy as np
-    import trimesh
-    from PIL import Image
+
+    from gsjax.io.images import write_image
 
     rng = np.random.default_rng(0)
     for photo in sorted((scene / "images").iterdir()) if light else ():
-        Image.fromarray(rng.integers(*light, (SIDE, SIDE, 3)).astype(np.uint8)).save(photo)
+        write_image(photo, rng.integers(*light, (SIDE, SIDE, 3)).astype(np.uint8))
     if photos is not None:
         (scene / "few.txt").write_text("".join(f"{1 + index:03d}.png\n" for index in range(photos)))
         return {"photos": {"subset": str(scene / "few.txt"), "hold_out": "none"}}
     if spread is not None:
-        points = trimesh.PointCloud(rng.normal(scale=spread, size=(500, 3)), np.full((500, 4), 128, np.uint8))
-        points.export(scene / "start.ply")
+        properties = "".join(f"property float {axis}\n" for axis in "xyz")
+        header = f"ply\nformat ascii 1.0\nelement vertex 500\n{properties}end_header"
+        np.savetxt(scene / "start.ply", rng.normal(scale=spread, size=(500, 3)), header=header, comments="")
         return {"model": {"points": str(scene / "start.ply")}}
     return {}
