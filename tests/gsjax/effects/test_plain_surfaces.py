@@ -90,8 +90,14 @@ def test_a_fall_off_of_the_lens_on_a_flat_ceiling_is_no_sky():
 
 @pytest.mark.parametrize(
     ("near", "blueness", "blue_range", "is_sky"),
-    [(1.04, 0.95, 0.56, True), (0.97, 0.95, 0.56, False), (1.04, 0.59, 0.08, False), (1.04, 0.0, 0.0, False)],
-    ids=["a castle's sky", "a wall explains it better", "blue plaster", "white plaster"],
+    [
+        (1.04, 0.95, 0.56, True),
+        (0.97, 0.95, 0.56, False),
+        (1.04, 0.95, 0.08, False),
+        (1.04, 0.59, 0.56, False),
+        (1.04, 0.0, 0.0, False),
+    ],
+    ids=["a castle's sky", "a wall explains it better", "a blue of one colour", "a pale blue", "white plaster"],
 )
 def test_a_vivid_blue_is_a_sky_to_photos_of_nearly_one_place(near, blueness, blue_range, is_sky):
     compared = parallax.Parallax(near, 0.78, 3.21, 0.1, blueness, blue_range)
