@@ -34,9 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
-    add("--method", metavar="METHOD", help="how the surface is found: poisson (default), another of the methods below,"
-        " or auto, as in scan: the one that agrees clearly more than poisson with points that photos share, or where"
-        " there are none with the photos' mattes")  # fmt: skip
+    add("--method", metavar="METHOD", help="how the surface is found: one of the methods below, or auto (default):"
+        " poisson, or another that reads the given options and agrees clearly more with points that photos share, or"
+        " where there are none with the photos' mattes")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
     add("--trim-quantile", type=finite, metavar="Q",
         help="share (0..1) of vertices, the least supported, to cut away; default: by the points' density")  # fmt: skip

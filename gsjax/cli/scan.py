@@ -11,7 +11,7 @@ from gsjax.presets import REFINED_BY
 ABOUT = About(
     summary="photos or a video to a textured mesh, all stages in one go",
     description="""
-        Runs sfm, train, mesh --method auto, refine and texture, and leaves OUT/scene, OUT/run with its mesh.ply,
+        Runs sfm, train, mesh, refine and texture, and leaves OUT/scene, OUT/run with its mesh.ply,
         OUT/refined, OUT/mesh.glb, OUT/overview.png and OUT/report.json. Called again, it continues
         where it stopped. A data set that has camera poses already begins with train. Photos are reconstructed as
         `gsjax sfm` does it, with the same options.

@@ -174,7 +174,9 @@ METHODS: dict[str, MeshMethod] = {
 
 
 def methods_of(method: str | Method, options: MethodOptions) -> dict[str, MeshMethod]:
-    """Return the method of a name, all methods for `auto`, or a function that was handed in under its own name.
+    """Return the method of a name, or a function that was handed in under its own name.
+
+    For `auto` these are all methods that read the options that are given.
 
     Raises:
         InputError: There is no such method, or it does not read an option that is given.
@@ -184,7 +186,9 @@ def methods_of(method: str | Method, options: MethodOptions) -> dict[str, MeshMe
     if callable(method):
         candidates = {method_name(method): MeshMethod("handed in", lambda *_: method, needs=frozenset({"owners"}))}
     elif method == AUTO:
-        candidates = METHODS
+        candidates = {name: each for name, each in METHODS.items() if options.set_names <= each.options}
+        if not candidates:
+            raise InputError(f"no method reads {' and '.join(map(_flag, sorted(options.set_names)))} together")
     elif method in METHODS:
         candidates = {method: METHODS[method]}
     else:

@@ -17,7 +17,7 @@ from gsjax.meshing.connectivity import topology
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.mesh_method import Method
-from gsjax.meshing.methods import USUAL, MeshMethod, MethodOptions, methods_of
+from gsjax.meshing.methods import AUTO, USUAL, MeshMethod, MethodOptions, methods_of
 from gsjax.meshing.photo_refine import refine_on_photos
 from gsjax.meshing.regions import Crop, crop_of
 from gsjax.meshing.select_method import Selection, evidence_of, select_method
@@ -44,7 +44,7 @@ def mesh(
     source: str | Path,
     out: str | Path,
     *,
-    method: str | Method = USUAL,
+    method: str | Method = AUTO,
     level: float | None = None,
     points: int | None = None,
     depth: int | None = None,
@@ -68,9 +68,10 @@ def mesh(
         source: Run folder or .ply.
         out: Mesh file; .ply, .obj or .glb.
         method: A name in `gsjax.meshing.methods.METHODS`; or a function, as `gsjax.extract_mesh` takes it. Its
-            pictures have owners. "auto": the method whose mesh agrees most with the tracks of structure from motion
-            (`gsjax.meshing.track_visibility`), or without tracks with the photos' mattes (`gsjax.meshing.silhouettes`);
-            "poisson" where there is neither, and of a run with an entropy phase, which is made for the level set.
+            pictures have owners. "auto": of the methods that read the given options, the one whose mesh agrees most
+            with the tracks of structure from motion (`gsjax.meshing.track_visibility`), or without tracks with the
+            photos' mattes (`gsjax.meshing.silhouettes`); "poisson" where there is neither, and of a run with an entropy
+            phase, which is made for the level set.
         level: Density at which the surface lies ("poisson"). None: 0.3.
         points: Most surface points ("poisson"). None: an eighth of the pixels, 200,000 to 10 million.
         depth: Of the Poisson octree (the same). None: chosen from the sizes of the Gaussians.

@@ -18,7 +18,6 @@ from gsjax.io.scenes import is_data_set
 from gsjax.io.sfm import FILES, Reconstruction
 from gsjax.io.temporary_files import is_temporary, sweep
 from gsjax.meshing.export import read_mesh, read_textured
-from gsjax.meshing.methods import AUTO
 from gsjax.meshing.pictures import texture_colors
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.refine import refine
@@ -171,7 +170,7 @@ def _stages(
     return [
         *sfm,
         Stage("train", lambda: is_finished(run), lambda: train(scene, run, settings, resume=run.exists())),
-        Stage("mesh", coarse.exists, lambda: mesh(run, coarse, method=AUTO)),
+        Stage("mesh", coarse.exists, lambda: mesh(run, coarse)),
         Stage(
             "refine", lambda: is_finished(refined), lambda: refine(run, refined, refinement, resume=refined.exists())
         ),

@@ -33,7 +33,7 @@ from gsjax.runs.run import Run
 from gsjax.runs.splits import Split, require_photos_of_effects, split_of
 from gsjax.scene import Keep, Scene, preload
 from gsjax.settings import AUTO, Settings
-from gsjax.stereo import StereoMaps
+from gsjax.stereo import StereoMaps, depths_of_photos
 from gsjax.training.data_parallel import Devices, device_mesh
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
 from gsjax.training.plan import Plan, check_terms, plan
@@ -166,7 +166,7 @@ def prepare(request: Asked, loaded: Loaded) -> Prepared:
         notify=partial(note_normals, request.out),
     )
     if not request.has_checkpoint:
-        start, lines = with_stereo_points(start, planned, stereo.swept)
+        start, lines = with_stereo_points(start, planned, lambda: stereo.swept or depths_of_photos(scene))
         report(*lines)
     effects = _choose_effects(request, planned, inspected, start, extent, loaded.downscale).with_own(request.effects)
     notes = {

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -62,7 +63,7 @@ def gain(scene: Scene, settings: Settings, change: Callable[[Plan], Plan]) -> Ga
         for fold in range(FOLDS):
             parted = tuple(replace(each, held_out=index % FOLDS == fold) for index, each in enumerate(frames))
             fold_scene = replace(scene, frames=parted)
-            depths = depths_of_photos(fold_scene)
+            depths = cache(partial(depths_of_photos, fold_scene))
             scores = [score_variant(each, fold_scene, depths, short, matched, bar.update) for each in variants]
             pairs += zip(*scores, strict=True)
             so_far = _gain_of(pairs)
@@ -82,7 +83,7 @@ def _gain_of(pairs: Sequence[tuple[Score, Score]]) -> Gain:
 def score_variant(
     variant: Variant,
     scene: Scene,
-    depths: PhotoDepths,
+    depths: Callable[[], PhotoDepths],
     settings: Settings,
     matched: Mapping[str, np.ndarray],
     observe: Observe,
@@ -92,7 +93,7 @@ def score_variant(
     Args:
         variant: What is trained.
         scene: Its photos.
-        depths: Stereo depth of those that are trained on.
+        depths: Computes stereo depth of those that are trained on.
         settings: Of the validation run.
         matched: Name of a photo -> `[P, 3]` matched points.
         observe: Called after every step.

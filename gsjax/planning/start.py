@@ -1,5 +1,6 @@
 """Where a training starts: from which points, and the state at step 0."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -10,7 +11,7 @@ from gsjax.effects.simulation import Effects
 from gsjax.io.ply import read_points
 from gsjax.scene import Scene
 from gsjax.settings import Model
-from gsjax.stereo import PhotoDepths, depths_of_photos, stereo_points
+from gsjax.stereo import PhotoDepths, stereo_points
 from gsjax.training import initialize
 from gsjax.training.buffers import bucket
 from gsjax.training.densification.rules import DensificationRule
@@ -31,20 +32,20 @@ def with_given_points(scene: Scene, file: str | None) -> Scene:
     return replace(scene, points=local, point_colors=colors, tracks=None)
 
 
-def with_stereo_points(scene: Scene, planned: Plan, depths: PhotoDepths | None = None) -> tuple[Scene, tuple[str, ...]]:
+def with_stereo_points(scene: Scene, planned: Plan, depths: Callable[[], PhotoDepths]) -> tuple[Scene, tuple[str, ...]]:
     """The scene with points where its photos agree about depth after its own, and a line that says how many.
 
-    What structure from motion left empty has something to start with, on the surface and not before it. `depths` is
-    stereo depth that is known already.
+    What structure from motion left empty has something to start with, on the surface and not before it. `depths`
+    computes stereo depth of the photos, and is called only where points are added.
     """
     most = planned.max_gaussians // CLOUD_SHARE
     count = min(planned.stereo_points, most)
     if not count or scene.tracks is None or len(scene.points) > most:
         return scene, ()
-    depths = depths_of_photos(scene) if depths is None else depths
-    if not depths.accepted:
+    swept = depths()
+    if not swept.accepted:
         return scene, ()
-    added = stereo_points(depths, count)
+    added = stereo_points(swept, count)
     points = np.concatenate([scene.points, added.points])
     return replace(scene, points=points, point_colors=np.concatenate([scene.point_colors, added.colors])), (added.line,)
 

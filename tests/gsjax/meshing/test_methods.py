@@ -134,8 +134,17 @@ def test_one_entry_registers_a_method_for_its_name_the_help_and_auto(monkeypatch
 
 
 @pytest.mark.parametrize(
+    ("options", "candidates"),
+    [({}, ["poisson", "tsdf"]), ({"level": 0.2, "points": 900}, ["poisson"]), ({"cell": 0.1}, ["tsdf"])],
+)
+def test_auto_tries_the_methods_that_read_the_options(options, candidates):
+    assert list(methods_of("auto", MethodOptions(**options))) == candidates
+
+
+@pytest.mark.parametrize(
     ("method", "options", "fault"),
     [
+        ("auto", {"cell": 0.1, "level": 0.2}, "no method reads --cell and --level together"),
         ("poisson", {"cell": 0.1}, "--cell is an option of the method tsdf; poisson does not read it"),
         ("tsdf", {"level": 0.1}, "--level is an option of the method poisson; tsdf does not read it"),
         (

@@ -8,10 +8,11 @@ from photographed_wall import wall
 
 from gsjax.planning import start
 from gsjax.settings import Model, Settings
-from gsjax.stereo import StereoPoints
+from gsjax.stereo import StereoPoints, depths_of_photos
 from gsjax.training.plan import plan
 
 WALL = wall(3, num_points=100)
+DEPTHS = depths_of_photos(WALL)
 PLAN = plan(Settings(model=Model(stereo_points=50, max_gaussians=900)))
 
 
@@ -21,7 +22,7 @@ def fake_points(scene, count):
 
 def test_points_come_after_the_scenes_own_and_have_a_line(monkeypatch):
     monkeypatch.setattr(start, "stereo_points", fake_points)
-    more, lines = start.with_stereo_points(WALL, PLAN)
+    more, lines = start.with_stereo_points(WALL, PLAN, lambda: DEPTHS)
     assert lines == ("50 more",)
     np.testing.assert_array_equal(more.points, np.concatenate([WALL.points, np.ones((50, 3), np.float32)]))
     np.testing.assert_array_equal(more.point_colors[100:], np.full((50, 3), 7, np.uint8))
@@ -31,7 +32,7 @@ def test_points_come_after_the_scenes_own_and_have_a_line(monkeypatch):
 
 def test_they_are_half_of_the_budget_at_most(monkeypatch):
     monkeypatch.setattr(start, "stereo_points", fake_points)
-    more, _ = start.with_stereo_points(WALL, replace(PLAN, stereo_points=500))
+    more, _ = start.with_stereo_points(WALL, replace(PLAN, stereo_points=500), lambda: DEPTHS)
     assert len(more.points) - len(WALL.points) == 450
 
 
@@ -44,6 +45,5 @@ def test_they_are_half_of_the_budget_at_most(monkeypatch):
     ],
     ids=["not asked for", "the cloud fills half of the budget", "points of another origin"],
 )
-def test_nothing_is_looked_for(monkeypatch, scene, planned):
-    monkeypatch.setattr(start, "stereo_points", lambda *_: pytest.fail("was looked for"))
-    assert start.with_stereo_points(scene, planned) == (scene, ())
+def test_nothing_is_looked_for(scene, planned):
+    assert start.with_stereo_points(scene, planned, lambda: pytest.fail("was looked for")) == (scene, ())
