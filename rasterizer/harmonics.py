@@ -1,4 +1,7 @@
-"""Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat."""
+"""Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat.
+
+`upper_bands`, which training evaluates in every step, has native loops on a CPU; all else is jnp.
+"""
 
 import math
 
@@ -9,6 +12,8 @@ from jaxtyping import Bool, Float
 
 from rasterizer.arrays import takes_arrays, whole_number
 from rasterizer.devices import default_device
+from rasterizer.engines import Backend, native_loops
+from rasterizer.tracing import reverse_only, vary_alike, without_axes
 
 DC = 0.28209479177387814  # The basis function of degree 0, 1 / sqrt(4 pi).
 
@@ -92,7 +97,11 @@ def spherical_harmonics(
 
 @takes_arrays
 def upper_bands(
-    dirs: Float[Array, "... 3"], coeffs: Float[Array, "... M D"], weights: Float[Array, "... M"] | None = None
+    dirs: Float[Array, "... 3"],
+    coeffs: Float[Array, "... M D"],
+    weights: Float[Array, "... M"] | None = None,
+    *,
+    backend: Backend = "auto",
 ) -> Float[Array, "... D"]:
     """The part of degree 1 and up of all coefficients that there are.
 
@@ -100,10 +109,22 @@ def upper_bands(
         dirs: As in `spherical_harmonics`.
         coeffs: Coefficients without the first, M + 1 a square up to 25.
         weights: Factors of the basis functions, for a ramp of degrees; None for ones.
+        backend: "native" is the loops of a CPU, for `[N, 3]` directions, float32 and degrees 1 to 3. Static.
 
     Returns:
-        Values, differentiable to all three. With those of `spherical_harmonics_l0` they sum to all bands.
+        Values, differentiable to all three; with the loops by `jax.grad` and `jax.vjp` alone, once. With those of
+        `spherical_harmonics_l0` they sum to all bands.
     """
+    loops = native_loops(backend)
+    suits = dirs.ndim == 2 and dirs.dtype == coeffs.dtype == jnp.float32 and coeffs.shape[0] == dirs.shape[0]
+    if loops and suits and coeffs.shape[1] in loops.BANDS and coeffs.shape[2] == loops.CHANNELS:
+        rows = jnp.ones((1, coeffs.shape[1])) if weights is None else jnp.asarray(weights, jnp.float32)
+        arguments = vary_alike((dirs, coeffs, rows.reshape(-1, coeffs.shape[1])))
+        return _in_loops(*map(reverse_only, arguments))
+    return _in_jnp(dirs, coeffs, weights)
+
+
+def _in_jnp(dirs: Array, coeffs: Array, weights: Array | None) -> Array:
     degree = math.isqrt(coeffs.shape[-2])
     basis = _basis_at(degree, dirs)[..., 1:]
     return _sum_of_bands(basis if weights is None else basis * jnp.broadcast_to(weights, basis.shape), coeffs)
@@ -167,3 +188,23 @@ def spherical_harmonics_l1_plus(
     shN = jnp.broadcast_to(shN, (*dirs.shape[:-1], *shN.shape[-2:]))
     no_dc = jnp.zeros((*shN.shape[:-2], 1, shN.shape[-1]), shN.dtype)
     return spherical_harmonics(degrees_to_use, dirs, jnp.concatenate([no_dc, shN], -2), masks)
+
+
+@jax.custom_vjp
+def _in_loops(dirs: Array, coeffs: Array, weights: Array) -> Array:
+    loops = native_loops("native")
+    assert loops
+    return without_axes(loops.upper_bands, dirs, coeffs, weights)
+
+
+def _in_loops_bwd(residuals, cotangents: Array):
+    dirs, coeffs, weights = residuals
+    loops = native_loops("native")
+    assert loops
+    gradients = without_axes(loops.upper_bands_gradient, dirs, coeffs, weights, cotangents)
+    # XLA leaves this out where no gradient to the weights is used.
+    of_weights = jax.vjp(lambda weights: _in_jnp(dirs, coeffs, weights), weights)[1]
+    return *gradients, *of_weights(cotangents)
+
+
+_in_loops.defvjp(lambda *arguments: (_in_loops(*arguments), arguments), _in_loops_bwd)

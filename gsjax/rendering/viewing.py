@@ -81,7 +81,7 @@ def render(
     reading = depth_mode if with_depth else None
     splats = splat(scene, camera, capacity, means2d_probe, splat_depth_mode(reading), backend)
     axes = facing_axes(scene, camera, splats.projection) if with_axes else None
-    splat_colors = colors(scene, camera, active_degree)
+    splat_colors = colors(scene, camera, active_degree, backend)
     under = jnp.zeros(3, splat_colors.dtype) if background is None else background
     return view_splats(splats, splat_colors, under, reading=reading, extra=extra, axes=axes)
 
@@ -113,7 +113,12 @@ def view_splats(
     return View(over, alphas, depth, splats, composited.get("extra"), composited.get("axes"))
 
 
-def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = None) -> Array:
+def colors(
+    scene: Drawable,
+    camera: Camera,
+    active_degree: Array | int | None = None,
+    backend: rasterizer.Backend = "auto",
+) -> Array:
     """`[N, 3]` colour of every Gaussian seen from the camera, at least 0 (3DGS: max(0, SH + 0.5)).
 
     `active_degree`, one for all or `[N]`, may be traced: bands above it are multiplied by zero, so a ramp never
@@ -124,6 +129,6 @@ def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = 
         band = jnp.floor(jnp.sqrt(jnp.arange(1, 1 + scene.sh_rest.shape[1], dtype=jnp.float32)))
         active_bands = (band[None] <= jnp.asarray(active_degree, jnp.float32).reshape(-1, 1)).astype(directions.dtype)
     bands = rasterizer.spherical_harmonics_l0(scene.sh_dc) + rasterizer.upper_bands(
-        directions, scene.sh_rest, active_bands
+        directions, scene.sh_rest, active_bands, backend=backend
     )
     return jnp.maximum(bands + 0.5, 0)

@@ -147,7 +147,7 @@ def share(frame, task, job, items):
     Returns:
         Whether there was memory to begin.
     """
-    shared, helpers = allocate(8 * 5), min(_threads(frame), items) - 1
+    shared, helpers = allocate(8 * 5), max(min(_threads(frame), items) - 1, 0)
     if shared == 0:
         return False
     set_word(shared, _HOLDERS, helpers + 2)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from rasterizer._native import harmonics as _harmonics
 from rasterizer._native import lists as _lists
 from rasterizer._native import passes as _passes
 from rasterizer._native import similarity as _similarity
@@ -37,6 +38,8 @@ _HANDLERS = (
     _updates.all_finite,
     _similarity.ssim,
     _similarity.ssim_gradient,
+    _harmonics.upper_bands,
+    _harmonics.upper_bands_gradient,
 )
 for _handler in _HANDLERS:
     jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
@@ -145,6 +148,18 @@ def ssim(image: Array, target: Array, mask: Array) -> tuple[Array, Array]:
 def ssim_gradient(image: Array, target: Array, mask: Array, slopes: Array, cotangent: Array) -> Array:
     """`[H, W, C]` gradient of that sum to the image."""
     return _call("ssim_gradient", jax.ShapeDtypeStruct(image.shape, np.float32), image, target, mask, slopes, cotangent)
+
+
+def upper_bands(dirs: Array, coeffs: Array, weights: Array) -> Array:
+    """`[N, 3]` values of `rasterizer.upper_bands`; `weights` have one row or N."""
+    return _call("upper_bands", jax.ShapeDtypeStruct(dirs.shape, np.float32), dirs, coeffs, weights)
+
+
+def upper_bands_gradient(dirs: Array, coeffs: Array, weights: Array, cotangents: Array) -> tuple[Array, Array]:
+    """Gradients to directions and coefficients."""
+    results = [jax.ShapeDtypeStruct(each.shape, np.float32) for each in (dirs, coeffs)]
+    d_dirs, d_coeffs = _call("upper_bands_gradient", results, dirs, coeffs, weights, cotangents)
+    return d_dirs, d_coeffs
 
 
 def _check_side(side: int) -> None:

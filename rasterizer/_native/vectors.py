@@ -160,6 +160,12 @@ def absolute(builder, value):
     return _call(builder, "fabs", value)
 
 
+@_compiles_to(FLOATS, FLOATS)
+def square_root(builder, value):
+    """Return the square root."""
+    return _call(builder, "sqrt", value)
+
+
 @_compiles_to(FLOATS, FLOATS, FLOATS)
 def limit_bits(builder, value, limit):
     """Return what lies in 0..limit as it is; a positive limit for all else: what is larger, negative or NaN."""

@@ -104,3 +104,88 @@ def test_bands_above_the_degree_are_ignored():
     np.testing.assert_array_equal(spherical_harmonics(2, directions, coeffs), few)
     gradient = jax.jit(jax.grad(lambda c: jnp.sum(spherical_harmonics(2, directions, c))))(coeffs)
     np.testing.assert_array_equal(gradient[:, 9:], 0)
+
+
+LOOPS_AND_JNP = ["native", "xla"]
+
+
+@pytest.mark.parametrize("backend", LOOPS_AND_JNP)
+@pytest.mark.parametrize("rows_of_weights", [0, 1, 2])
+@pytest.mark.parametrize("bands", [3, 8, 15])
+def test_upper_bands_and_their_gradients_against_float64(bands, rows_of_weights, backend):
+    """One row, a part of a strip, and more than a thread takes at a time, with a direction of length zero."""
+    rng = np.random.default_rng(bands)
+    for count in (1, 33, 1100):
+        directions, coeffs = rng.normal(size=(count, 3)) * 3.0, rng.normal(size=(count, bands, 3))
+        directions[count // 2] = 0 if count > 1 else 1
+        shape = {0: None, 1: (bands,), 2: (count, bands)}[rows_of_weights]
+        weights, cotangents = (shape and rng.normal(size=shape)), rng.normal(size=(count, 3))
+        arguments = [each if each is None else jnp.asarray(each, jnp.float32) for each in (directions, coeffs, weights)]
+
+        def gradients(*arguments, backend=backend, cotangents=cotangents):
+            values, pull = jax.vjp(partial(upper_bands, backend=backend), *arguments)
+            return values, *pull(jnp.asarray(cotangents, values.dtype))
+
+        got = jax.jit(gradients)(*arguments)
+        with jax.enable_x64(True):
+            exact = [each if each is None else jnp.asarray(np.asarray(each, np.float64)) for each in arguments]
+            expected = gradients(*exact, backend="reference")
+        for each, reference in zip(got, expected, strict=True):
+            if reference is not None:
+                assert_close(each, reference, rtol=1e-5, atol=1e-5, why="float32 sums of 45 terms of size 1")
+        if count > 1:
+            np.testing.assert_array_equal(got[1][count // 2], 0)
+
+
+@pytest.mark.parametrize("length", [1e-33, 1e-30, 1e30, 3e38])
+def test_upper_bands_of_extreme_lengths(length):
+    unit, coeffs = unit_directions(40), np.random.default_rng(7).normal(size=(40, 15, 3))
+    directions, coeffs = jnp.asarray(unit * length, jnp.float32), jnp.asarray(coeffs, jnp.float32)
+    values = upper_bands(directions, coeffs)
+    assert_close(values, upper_bands(jnp.asarray(unit, jnp.float32), coeffs))
+    gradient = jax.grad(lambda directions: jnp.sum(upper_bands(directions, coeffs)))(directions)
+    scaled = jax.grad(lambda directions: jnp.sum(upper_bands(directions, coeffs)))(jnp.asarray(unit, jnp.float32))
+    assert np.isfinite(gradient).all()
+    if length < 1e38:  # Past it a gradient is a denormal number, which a processor may take for 0.
+        assert_close(gradient * np.float32(length), scaled, kind="gradient")
+
+
+@pytest.mark.parametrize("backend", LOOPS_AND_JNP)
+def test_what_is_not_finite_stays_in_its_row(backend):
+    rng = np.random.default_rng(8)
+    directions, coeffs = rng.normal(size=(40, 3)).astype(np.float32), rng.normal(size=(40, 15, 3)).astype(np.float32)
+    bad_directions, bad_coeffs = directions.copy(), coeffs.copy()
+    bad_directions[3], bad_coeffs[17, 4, 1] = np.nan, np.inf
+    others = np.setdiff1d(np.arange(40), [3, 17])
+
+    @jax.jit
+    def both(directions, coeffs):
+        values, pull = jax.vjp(partial(upper_bands, backend=backend), directions, coeffs)
+        return values, *pull(jnp.ones_like(values))
+
+    for bad, good in zip(both(bad_directions, bad_coeffs), both(directions, coeffs), strict=True):
+        np.testing.assert_array_equal(bad[others], good[others])
+    assert np.isnan(both(bad_directions, bad_coeffs)[0][3]).all()
+
+
+def test_a_row_that_nothing_depends_on_has_no_gradient_whatever_it_holds():
+    coeffs = jnp.full((2, 15, 3), jnp.inf, jnp.float32).at[0].set(1.0)
+    directions = jnp.ones((2, 3), jnp.float32)
+    _, pull = jax.vjp(upper_bands, directions, coeffs)
+    for gradient in pull(jnp.zeros((2, 3)).at[0].set(1.0)):
+        assert np.isfinite(gradient).all() and not np.any(gradient[1]) and np.any(gradient[0])
+
+
+def test_forward_mode_of_the_loops_is_an_error_and_of_the_reference_is_not():
+    directions, coeffs = jnp.ones((2, 3)), jnp.ones((2, 15, 3))
+    with pytest.raises(TypeError, match="backend='reference'"):
+        jax.jit(lambda *x: jax.jvp(upper_bands, x, x)[1])(directions, coeffs)
+    _, tangent = jax.jvp(partial(upper_bands, backend="reference"), (directions, coeffs), (directions, coeffs))
+    assert_close(tangent, upper_bands(directions, coeffs))  # Linear in coefficients; along a direction nothing changes.
+
+
+def test_no_rows_have_no_values():
+    empty = jnp.zeros((0, 3)), jnp.zeros((0, 15, 3))
+    both = jax.jit(lambda *x: jax.vjp(upper_bands, *x)[1](jnp.zeros((0, 3))))
+    d_directions, d_coeffs = both(*empty)
+    assert d_directions.shape == (0, 3) and d_coeffs.shape == (0, 15, 3)

@@ -1,0 +1,290 @@
+"""Spherical harmonics of degree 1 to 3 and their gradients, as XLA calls them.
+
+A thread takes a block of rows. Basis functions are computed for a strip of rows at a time, in vectors; the coefficients
+of a row, which lie next to each other, are then read once. A row whose cotangent is zero, as that of a Gaussian that
+does not show, has zero gradients and is not read.
+"""
+
+import numpy as np
+
+from rasterizer._native.blending import ONE, ZERO
+from rasterizer._native.calls import (
+    HANDLER,
+    TASK,
+    argument,
+    data,
+    item_after,
+    job_of,
+    length,
+    let_go,
+    next_item,
+    no_memory,
+    only_introduces,
+    result,
+    set_word,
+    share,
+    word,
+)
+from rasterizer._native.compiled import entry_point, inlined
+from rasterizer._native.instructions import address_of, as_floats, define, floats_at, floats_on_stack, words_on_stack
+from rasterizer._native.vectors import LANES, absolute, load, square_root, store, where
+
+BLOCK, STRIP = 512, 32  # rows that a thread takes at a time, and those whose basis functions it holds
+BANDS = {3, 8, 15}  # numbers of the basis functions of degree 1 to 3, and all below
+CHANNELS = 3
+HELD = 15 * STRIP
+# Of a strip: unit directions and the inverses of their lengths.
+_X, _Y, _Z, _INVERSE = (STRIP * place for place in range(4))
+DIRECTIONS = 4 * STRIP
+TINY = np.finfo(np.float32).tiny
+# Factors of the basis functions, in the order of `rasterizer.harmonics`.
+F1 = np.float32(0.48860251190291992)
+F20, F21, F22 = map(np.float32, (1.0925484305920790, 0.31539156525252000, 0.54627421529603950))
+F30, F31, F32, F33, F34 = map(
+    np.float32,
+    (0.59004358992664350, 2.8906114426405540, 0.45704579946446570, 0.37317633259011540, 1.4453057213202770),
+)
+TWO, THREE, FOUR, SIX, EIGHT = map(np.float32, (2, 3, 4, 6, 8))
+
+# Of a job: rows; coefficients of a row; rows of the weights, 1 or as many; addresses of the directions, coefficients,
+# weights, values or their cotangents, and of the gradients to directions and coefficients.
+_ROWS, _BANDS, _WEIGHT_ROWS, _DIRS, _COEFFS, _WEIGHTS, _VALUES, _D_DIRS, _D_COEFFS = range(9)
+_JOB_WORDS = 9
+
+
+@inlined
+def larger(one, other):
+    """The larger of two numbers, any of which may be NaN."""
+    return where(one > other, one, other)
+
+
+@inlined
+def read_directions(strip, dirs, count):
+    """Writes unit directions and inverse lengths: of a zero direction +z and 0, as of rows past the last."""
+    for i in range(STRIP):
+        strip[_X + i] = dirs[3 * i] if i < count else ZERO
+        strip[_Y + i] = dirs[3 * i + 1] if i < count else ZERO
+        strip[_Z + i] = dirs[3 * i + 2] if i < count else ZERO
+    for i in range(0, STRIP, LANES):
+        x, y, z = load(floats_at(strip, _X + i)), load(floats_at(strip, _Y + i)), load(floats_at(strip, _Z + i))
+        # Divided by the largest entry first: the squares of a very long or short direction would overflow or vanish.
+        largest = larger(larger(absolute(x), absolute(y)), absolute(z))
+        is_zero = largest < TINY
+        safe = where(is_zero, ONE, largest)
+        x, y, z = where(is_zero, ZERO, x / safe), where(is_zero, ZERO, y / safe), where(is_zero, ONE, z / safe)
+        inverse = ONE / square_root(x * x + y * y + z * z)
+        store(floats_at(strip, _X + i), x * inverse)
+        store(floats_at(strip, _Y + i), y * inverse)
+        store(floats_at(strip, _Z + i), z * inverse)
+        store(floats_at(strip, _INVERSE + i), where(is_zero, ZERO, inverse / safe))
+
+
+@inlined
+def evaluate_basis(basis, strip, bands):
+    """Writes the basis functions of a strip, a row of `STRIP` numbers each."""
+    for i in range(0, STRIP, LANES):
+        x, y, z = load(floats_at(strip, _X + i)), load(floats_at(strip, _Y + i)), load(floats_at(strip, _Z + i))
+        at = floats_at(basis, i)
+        store(floats_at(at, 0 * STRIP), -F1 * y)
+        store(floats_at(at, 1 * STRIP), F1 * z)
+        store(floats_at(at, 2 * STRIP), -F1 * x)
+        if bands > 3:
+            xx, yy, zz = x * x, y * y, z * z
+            store(floats_at(at, 3 * STRIP), F20 * (x * y))
+            store(floats_at(at, 4 * STRIP), -F20 * (y * z))
+            store(floats_at(at, 5 * STRIP), F21 * (TWO * zz - xx - yy))
+            store(floats_at(at, 6 * STRIP), -F20 * (x * z))
+            store(floats_at(at, 7 * STRIP), F22 * (xx - yy))
+            if bands > 8:
+                store(floats_at(at, 8 * STRIP), -F30 * y * (THREE * xx - yy))
+                store(floats_at(at, 9 * STRIP), F31 * (x * y) * z)
+                store(floats_at(at, 10 * STRIP), -F32 * y * (FOUR * zz - xx - yy))
+                store(floats_at(at, 11 * STRIP), F33 * z * (TWO * zz - THREE * (xx + yy)))
+                store(floats_at(at, 12 * STRIP), -F32 * x * (FOUR * zz - xx - yy))
+                store(floats_at(at, 13 * STRIP), F34 * z * (xx - yy))
+                store(floats_at(at, 14 * STRIP), -F30 * x * (xx - THREE * yy))
+
+
+@inlined
+def slopes_of_degree_2(s, x, y, z):
+    """What the basis functions of degree 1 and 2 add to the gradient to the unit direction."""
+    s3, s4, s5 = load(floats_at(s, 3 * STRIP)), load(floats_at(s, 4 * STRIP)), load(floats_at(s, 5 * STRIP))
+    s6, s7 = load(floats_at(s, 6 * STRIP)), load(floats_at(s, 7 * STRIP))
+    gx = F20 * (s3 * y - s6 * z) - TWO * x * (F21 * s5 - F22 * s7)
+    gy = F20 * (s3 * x - s4 * z) - TWO * y * (F21 * s5 + F22 * s7)
+    gz = FOUR * F21 * (z * s5) - F20 * (s4 * y + s6 * x)
+    return gx, gy, gz
+
+
+@inlined
+def slopes_of_degree_3(s, x, y, z):
+    """What the basis functions of degree 3 add to it."""
+    s8, s9, s10 = load(floats_at(s, 8 * STRIP)), load(floats_at(s, 9 * STRIP)), load(floats_at(s, 10 * STRIP))
+    s11, s12, s13 = load(floats_at(s, 11 * STRIP)), load(floats_at(s, 12 * STRIP)), load(floats_at(s, 13 * STRIP))
+    s14 = load(floats_at(s, 14 * STRIP))
+    xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+    gx = F31 * (yz * s9) - SIX * F30 * (xy * s8) + TWO * F32 * (xy * s10) - SIX * F33 * (xz * s11)
+    gx = gx - F32 * (s12 * (FOUR * zz - THREE * xx - yy)) + TWO * F34 * (xz * s13) - THREE * F30 * (s14 * (xx - yy))
+    gy = F31 * (xz * s9) - THREE * F30 * (s8 * (xx - yy)) - F32 * (s10 * (FOUR * zz - xx - THREE * yy))
+    gy = gy - SIX * F33 * (yz * s11) + TWO * F32 * (xy * s12) - TWO * F34 * (yz * s13) + SIX * F30 * (xy * s14)
+    gz = F31 * (xy * s9) - EIGHT * F32 * (yz * s10 + xz * s12) + F33 * (s11 * (SIX * zz - THREE * (xx + yy)))
+    gz = gz + F34 * (s13 * (xx - yy))
+    return gx, gy, gz
+
+
+@inlined
+def differentiate_directions(strip, slopes, bands):
+    """Writes the gradient to the directions of a strip in their place, given that to its basis functions."""
+    for i in range(0, STRIP, LANES):
+        x, y, z = load(floats_at(strip, _X + i)), load(floats_at(strip, _Y + i)), load(floats_at(strip, _Z + i))
+        s = floats_at(slopes, i)
+        gx, gy, gz = -F1 * load(floats_at(s, 2 * STRIP)), -F1 * load(s), F1 * load(floats_at(s, STRIP))
+        if bands > 3:
+            ax, ay, az = slopes_of_degree_2(s, x, y, z)
+            gx, gy, gz = gx + ax, gy + ay, gz + az
+        if bands > 8:
+            ax, ay, az = slopes_of_degree_3(s, x, y, z)
+            gx, gy, gz = gx + ax, gy + ay, gz + az
+        along, inverse = gx * x + gy * y + gz * z, load(floats_at(strip, _INVERSE + i))
+        store(floats_at(strip, _X + i), inverse * (gx - along * x))
+        store(floats_at(strip, _Y + i), inverse * (gy - along * y))
+        store(floats_at(strip, _Z + i), inverse * (gz - along * z))
+
+
+@inlined
+def sum_row(values, coeffs, basis, weights, bands):
+    """Writes the three values of a row."""
+    r, g, b = ZERO, ZERO, ZERO
+    for k in range(bands):
+        factor = basis[k * STRIP] * weights[k]
+        r += factor * coeffs[3 * k]
+        g += factor * coeffs[3 * k + 1]
+        b += factor * coeffs[3 * k + 2]
+    values[0], values[1], values[2] = r, g, b
+
+
+@inlined
+def differentiate_row(d_coeffs, slopes, cotangents, coeffs, basis, weights, bands):
+    """Writes the gradients of a row to its coefficients and to its basis functions."""
+    r, g, b = cotangents[0], cotangents[1], cotangents[2]
+    if r == ZERO and g == ZERO and b == ZERO:
+        for i in range(CHANNELS * bands):
+            d_coeffs[i] = ZERO
+        for k in range(bands):
+            slopes[k * STRIP] = ZERO
+    else:
+        for k in range(bands):
+            factor = basis[k * STRIP] * weights[k]
+            d_coeffs[3 * k], d_coeffs[3 * k + 1], d_coeffs[3 * k + 2] = factor * r, factor * g, factor * b
+            slopes[k * STRIP] = weights[k] * (r * coeffs[3 * k] + g * coeffs[3 * k + 1] + b * coeffs[3 * k + 2])
+
+
+@inlined
+def row_of(job, place, row, width):
+    """The numbers of a row."""
+    return floats_at(as_floats(word(job, place)), row * width)
+
+
+@inlined
+def weights_of(job, row):
+    """The weights of a row."""
+    return row_of(job, _WEIGHTS, row if word(job, _WEIGHT_ROWS) > 1 else 0, word(job, _BANDS))
+
+
+@inlined
+def evaluate_strip(job, first, count):
+    """Writes the values of a strip of rows."""
+    strip, basis, bands = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), word(job, _BANDS)
+    read_directions(strip, row_of(job, _DIRS, first, 3), count)
+    evaluate_basis(basis, strip, bands)
+    for i in range(count):
+        row = first + i
+        values, coeffs = row_of(job, _VALUES, row, CHANNELS), row_of(job, _COEFFS, row, CHANNELS * bands)
+        sum_row(values, coeffs, floats_at(basis, i), weights_of(job, row), bands)
+
+
+@inlined
+def differentiate_strip(job, first, count):
+    """Writes the gradients of a strip of rows."""
+    strip, basis, slopes = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), floats_on_stack(HELD)
+    bands = word(job, _BANDS)
+    read_directions(strip, row_of(job, _DIRS, first, 3), count)
+    evaluate_basis(basis, strip, bands)
+    for i in range(count):
+        row = first + i
+        d_coeffs, coeffs = (
+            row_of(job, _D_COEFFS, row, CHANNELS * bands),
+            row_of(job, _COEFFS, row, CHANNELS * bands),
+        )
+        cotangents, weights = row_of(job, _VALUES, row, CHANNELS), weights_of(job, row)
+        differentiate_row(d_coeffs, floats_at(slopes, i), cotangents, coeffs, floats_at(basis, i), weights, bands)
+    differentiate_directions(strip, slopes, bands)
+    d_dirs = row_of(job, _D_DIRS, first, 3)
+    for i in range(count):
+        d_dirs[3 * i], d_dirs[3 * i + 1], d_dirs[3 * i + 2] = strip[_X + i], strip[_Y + i], strip[_Z + i]
+
+
+@entry_point(TASK)
+def evaluate_in_threads(shared):
+    """Evaluates blocks until none is left."""
+    job, item = job_of(shared), next_item(shared)
+    while item >= 0:
+        end = min((item + 1) * BLOCK, word(job, _ROWS))
+        for first in range(item * BLOCK, end, STRIP):
+            evaluate_strip(job, first, min(STRIP, end - first))
+        item = item_after(shared)
+    let_go(shared)
+
+
+@entry_point(TASK)
+def differentiate_in_threads(shared):
+    """Differentiates blocks until none is left."""
+    job, item = job_of(shared), next_item(shared)
+    while item >= 0:
+        end = min((item + 1) * BLOCK, word(job, _ROWS))
+        for first in range(item * BLOCK, end, STRIP):
+            differentiate_strip(job, first, min(STRIP, end - first))
+        item = item_after(shared)
+    let_go(shared)
+
+
+define("rasterizer_evaluate_bands_in_threads", evaluate_in_threads.address)
+define("rasterizer_differentiate_bands_in_threads", differentiate_in_threads.address)
+
+
+@inlined
+def read_arguments(frame, job):
+    """Writes sizes and addresses of directions, coefficients and weights; returns the number of blocks."""
+    rows = length(argument(frame, 0), 0)
+    set_word(job, _ROWS, rows)
+    set_word(job, _BANDS, length(argument(frame, 1), 1))
+    set_word(job, _WEIGHT_ROWS, length(argument(frame, 2), 0))
+    for place in range(3):
+        set_word(job, _DIRS + place, data(argument(frame, place)))
+    return (rows + BLOCK - 1) // BLOCK
+
+
+@entry_point(HANDLER)
+def upper_bands(frame):
+    """(directions, coefficients, weights) -> values."""
+    if only_introduces(frame):
+        return 0
+    job = words_on_stack(_JOB_WORDS)
+    blocks = read_arguments(frame, job)
+    set_word(job, _VALUES, data(result(frame, 0)))
+    return 0 if share(frame, address_of("rasterizer_evaluate_bands_in_threads"), job, blocks) else no_memory(frame)
+
+
+@entry_point(HANDLER)
+def upper_bands_gradient(frame):
+    """(directions, coefficients, weights, cotangents of the values) -> gradients to directions and coefficients."""
+    if only_introduces(frame):
+        return 0
+    job = words_on_stack(_JOB_WORDS)
+    blocks = read_arguments(frame, job)
+    set_word(job, _VALUES, data(argument(frame, 3)))
+    set_word(job, _D_DIRS, data(result(frame, 0)))
+    set_word(job, _D_COEFFS, data(result(frame, 1)))
+    if not share(frame, address_of("rasterizer_differentiate_bands_in_threads"), job, blocks):
+        return no_memory(frame)
+    return 0
