@@ -2,9 +2,8 @@
 
     python experiments/hard_cases_gsplat.py OUT.json
 
-Every case of `tests/hard_scenes.py` that renders colours is rendered and differentiated in float32 and compared with
-float64: gsplat with its own code in float64, ours with our reference. Writes the errors of all cases, and prints the
-tables. Needs gsplat 1.5.3 and torch (`pip install gsplat torch`), and no GPU.
+Renders and differentiates the cases of `tests/hard_scenes.py` in float32, and compares each side with its own float64.
+Writes and draws all errors, and prints the tables. Needs gsplat 1.5.3 and torch (`pip install gsplat torch`), no GPU.
 """
 
 import argparse
@@ -82,9 +81,9 @@ def errors(results: Any, case: Any) -> list[float | None]:
 
 
 def main() -> None:
-    """Measures all cases, writes them and prints the tables."""
+    """Measures all cases, writes and draws them, and prints the tables."""
     sys.path.append(str(Path(__file__).parents[1] / "tests"))
-    from hard_cases_page import comparison, comparison_faults
+    from hard_cases_page import comparison, comparison_faults, draw_comparison
     from hard_scenes import images_by_family
 
     from gsjax.io import json_files
@@ -98,8 +97,9 @@ def main() -> None:
         family: {name: {side: errors(of, case) for side, of in sides.items()} for name, case in cases.items()}
         for family, cases in images_by_family().items()
     }
-    theirs = {package: metadata.version(package) for package in ("gsplat", "torch")}
-    json_files.write(arguments.out, {"record": {**machine(), **versions(), **theirs}, "families": families})
+    record = machine() | versions() | {name: metadata.version(name) for name in ("gsplat", "torch")}
+    json_files.write(arguments.out, {"record": record, "families": families})
+    draw_comparison(families, Path(__file__).parents[1] / "docs/assets/hard_cases.png")
     print("\n".join([*comparison(families), "", *comparison_faults(families)]))
 
 

@@ -184,3 +184,33 @@ def comparison_faults(families):
 def _is_above(errors):
     pairs = zip(errors, COMPARED_BOUNDS, strict=True)
     return any(error is not None and error >= bound for error, bound in pairs)
+
+
+def draw_comparison(families, file):
+    """A panel each of value and gradient: a row a family, a dot a case and side; to the right of all, not finite."""
+    from gsjax.io.files import atomic_path
+    from gsjax.report.figures import new_figure
+
+    figure = new_figure(11, 5.2)
+    panels = figure.subplots(1, 2, sharey=True)
+    not_finite = 1e3
+    for place, (panel, name, bound) in enumerate(zip(panels, ("image", "gradient"), (1e-5, 1e-4), strict=True)):
+        for side, marker, color, shift in (("native", "o", "C0", -0.16), ("gsplat", "x", "C3", 0.16)):
+            dots = [
+                (not_finite if case[side][place] is None else max(case[side][place], 1e-9), row + shift)
+                for row, cases in enumerate(families.values())
+                for case in cases.values()
+            ]
+            panel.scatter(*zip(*dots, strict=True), marker=marker, s=24, linewidths=1, color=color, label=side)
+        panel.axvline(bound, color="0.5", linestyle="--", linewidth=1)
+        panel.set_xscale("log")
+        ticks = {1e-9: "0", 1e-7: "1e-7", 1e-5: "1e-5", 1e-3: "1e-3", 1e-1: "0.1", not_finite: "not\nfinite"}
+        panel.set_xticks(list(ticks), list(ticks.values()))
+        panel.set_xlabel(f"relative error of the {name} in float32")
+        panel.grid(axis="y", color="0.9")
+        panel.set_axisbelow(True)
+    panels[0].set_yticks(range(len(families)), [f"{family} ({len(cases)})" for family, cases in families.items()])
+    panels[0].invert_yaxis()
+    panels[1].legend(loc="lower right")
+    with atomic_path(file) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
