@@ -116,11 +116,12 @@ def upper_bands(
         `spherical_harmonics_l0` they sum to all bands.
     """
     loops = native_loops(backend)
-    suits = dirs.ndim == 2 and dirs.dtype == coeffs.dtype == jnp.float32 and coeffs.shape[0] == dirs.shape[0]
-    if loops and suits and coeffs.shape[1] in loops.BANDS and coeffs.shape[2] == loops.CHANNELS:
-        rows = jnp.ones((1, coeffs.shape[1])) if weights is None else jnp.asarray(weights, jnp.float32)
-        arguments = vary_alike((dirs, coeffs, rows.reshape(-1, coeffs.shape[1])))
-        return _in_loops(*map(reverse_only, arguments))
+    if loops and dirs.ndim == 2 and coeffs.shape == (dirs.shape[0], coeffs.shape[1], loops.CHANNELS):
+        bands = coeffs.shape[1]
+        rows = jnp.ones((1, bands)) if weights is None else jnp.asarray(weights, jnp.float32).reshape(-1, bands)
+        is_single = dirs.dtype == coeffs.dtype == jnp.float32
+        if is_single and bands in loops.BANDS and rows.shape[0] in (1, dirs.shape[0]):
+            return _in_loops(*map(reverse_only, vary_alike((dirs, coeffs, rows))))
     return _in_jnp(dirs, coeffs, weights)
 
 

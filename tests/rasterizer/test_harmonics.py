@@ -189,3 +189,8 @@ def test_no_rows_have_no_values():
     both = jax.jit(lambda *x: jax.vjp(upper_bands, *x)[1](jnp.zeros((0, 3))))
     d_directions, d_coeffs = both(*empty)
     assert d_directions.shape == (0, 3) and d_coeffs.shape == (0, 15, 3)
+
+
+def test_weights_of_another_number_of_rows_are_an_error():
+    with pytest.raises(ValueError, match="broadcast"):
+        upper_bands(jnp.ones((5, 3)), jnp.ones((5, 15, 3)), jnp.ones((2, 15)))
