@@ -115,12 +115,11 @@ def upper_bands(
         Values, differentiable to all three; with the loops by `jax.grad` and `jax.vjp` alone, once. With those of
         `spherical_harmonics_l0` they sum to all bands.
     """
-    loops = native_loops(backend)
-    if loops and dirs.ndim == 2 and coeffs.shape == (dirs.shape[0], coeffs.shape[1], loops.CHANNELS):
-        bands = coeffs.shape[1]
+    loops, bands = native_loops(backend), coeffs.shape[-2]
+    are_rows = dirs.shape == (coeffs.shape[0], 3) and dirs.dtype == coeffs.dtype == jnp.float32
+    if loops and are_rows and bands in loops.BANDS and coeffs.shape[1:] == (bands, loops.CHANNELS):
         rows = jnp.ones((1, bands)) if weights is None else jnp.asarray(weights, jnp.float32).reshape(-1, bands)
-        is_single = dirs.dtype == coeffs.dtype == jnp.float32
-        if is_single and bands in loops.BANDS and rows.shape[0] in (1, dirs.shape[0]):
+        if len(rows) in (1, len(dirs)):
             return _in_loops(*map(reverse_only, vary_alike((dirs, coeffs, rows))))
     return _in_jnp(dirs, coeffs, weights)
 

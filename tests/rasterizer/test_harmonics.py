@@ -191,6 +191,19 @@ def test_no_rows_have_no_values():
     assert d_directions.shape == (0, 3) and d_coeffs.shape == (0, 15, 3)
 
 
+def test_a_direction_may_serve_all_rows():
+    coeffs = jnp.asarray(np.random.default_rng(9).normal(size=(3, 15, 3)), jnp.float32)
+    direction = jnp.array([1.0, 2.0, 3.0])
+    assert_close(upper_bands(direction, coeffs), upper_bands(jnp.tile(direction, (3, 1)), coeffs))
+
+
+@pytest.mark.parametrize("backend", LOOPS_AND_JNP)
+def test_without_upper_bands_values_are_zero(backend):
+    coeffs = jnp.zeros((5, 0, 3))
+    for weights in (None, jnp.ones((1, 0))):
+        np.testing.assert_array_equal(upper_bands(jnp.ones((5, 3)), coeffs, weights, backend=backend), np.zeros((5, 3)))
+
+
 def test_weights_of_another_number_of_rows_are_an_error():
     with pytest.raises(ValueError, match="broadcast"):
         upper_bands(jnp.ones((5, 3)), jnp.ones((5, 15, 3)), jnp.ones((2, 15)))
