@@ -55,7 +55,7 @@ def trained(scene: Path, weights: dict[str, float], seed: int = 0) -> Path:
 def scored_mesh(run: Path, method: str) -> dict:
     """The scores of a run and of its mesh by a method, and the `method` that was taken."""
     file = run / f"{method}.ply"
-    report = pipeline.mesh(run, file, method=method, points=None if method == "tsdf" else POINTS)
+    report = pipeline.mesh(run, file, method=method, points=POINTS if method == "poisson" else None)
     return pipeline.evaluate(run, mesh=file) | {"method": report["method"]}
 
 

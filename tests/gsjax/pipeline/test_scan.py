@@ -87,7 +87,7 @@ def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp
         ("refine", "scan/run", "scan/refined"),
         ("texture", "scan/refined", "scan/refined/mesh.ply", "scan/mesh.glb"),
     ]
-    assert calls[0][-1] == {"frames": 30} and calls[2][-1] == {"method": "auto"}
+    assert calls[0][-1] == {"frames": 30} and calls[2][-1] == {}
     assert json_files.read(out / "report.json") == json_files.plain(report)
     assert (out / "report.html").exists()
     rows = table(report)
