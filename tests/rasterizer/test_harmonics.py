@@ -110,12 +110,11 @@ LOOPS_AND_JNP = ["native", "xla"]
 
 
 @pytest.mark.parametrize("backend", LOOPS_AND_JNP)
-@pytest.mark.parametrize("rows_of_weights", [0, 1, 2])
-@pytest.mark.parametrize("bands", [3, 8, 15])
+@pytest.mark.parametrize(("bands", "rows_of_weights"), [(3, 0), (8, 1), (15, 0), (15, 2)])
 def test_upper_bands_and_their_gradients_against_float64(bands, rows_of_weights, backend):
-    """One row, a part of a strip, and more than a thread takes at a time, with a direction of length zero."""
+    """One row, and more than a thread takes at a time with a part of a strip and a direction of length zero."""
     rng = np.random.default_rng(bands)
-    for count in (1, 33, 1100):
+    for count in (1, 1100):
         directions, coeffs = rng.normal(size=(count, 3)) * 3.0, rng.normal(size=(count, bands, 3))
         directions[count // 2] = 0 if count > 1 else 1
         shape = {0: None, 1: (bands,), 2: (count, bands)}[rows_of_weights]
