@@ -35,7 +35,7 @@ def trained(scene, folder, threads):
     return folder
 
 
-@pytest.mark.parametrize("threads", [1, 4])
+@pytest.mark.parametrize("threads", [1, pytest.param(4, marks=pytest.mark.long)])
 def test_any_number_of_threads(run, scene, tmp_path, threads):
     """The run of this process has a thread for each core. After a resume: `test_training.py`."""
     assert_same(trained(scene, tmp_path / "run", threads), run)
