@@ -122,7 +122,7 @@ def colors(
     """`[N, 3]` colour of every Gaussian seen from the camera, at least 0 (3DGS: max(0, SH + 0.5)).
 
     `active_degree`, one for all or `[N]`, may be traced: bands above it are multiplied by zero, so a ramp never
-    recompiles.
+    recompiles. `backend` is as in `render`.
     """
     directions, active_bands = scene.means - cameras.center(camera)[None], None
     if active_degree is not None:

@@ -212,10 +212,8 @@ def differentiate_strip(job, first, count):
     evaluate_basis(basis, strip, bands)
     for i in range(count):
         row = first + i
-        d_coeffs, coeffs = (
-            row_of(job, _D_COEFFS, row, CHANNELS * bands),
-            row_of(job, _COEFFS, row, CHANNELS * bands),
-        )
+        d_coeffs = row_of(job, _D_COEFFS, row, CHANNELS * bands)
+        coeffs = row_of(job, _COEFFS, row, CHANNELS * bands)
         cotangents, weights = row_of(job, _VALUES, row, CHANNELS), weights_of(job, row)
         differentiate_row(d_coeffs, floats_at(slopes, i), cotangents, coeffs, floats_at(basis, i), weights, bands)
     differentiate_directions(strip, slopes, bands)
