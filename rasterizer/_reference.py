@@ -10,7 +10,7 @@ from jax import Array
 
 from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma
 from rasterizer.compositing import Front
-from rasterizer.projection import Projection
+from rasterizer.ewa import Projection
 from rasterizer.rules import Rules
 from rasterizer.tracing import vary_alike, vary_like
 

@@ -16,6 +16,7 @@ from rasterizer.camera_models import CameraModelName
 from rasterizer.capacity import Shapes, UnknownCountError, choose_capacity
 from rasterizer.checks import absgrad_zeros, check_arrays, check_counts, check_lenses, check_mode, maps_over_batches
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, resolve
+from rasterizer.ewa import DepthMode, Projection, RasterizeMode
 from rasterizer.features import (
     RenderMode,
     blended_depth,
@@ -28,7 +29,7 @@ from rasterizer.features import (
 )
 from rasterizer.gsplat import Info
 from rasterizer.normals import camera_normals
-from rasterizer.projection import DepthMode, Projection, RasterizeMode, project
+from rasterizer.projection import project
 from rasterizer.rules import GSPLAT, Rules
 
 LARGEST_RADIUS = 2**30  # pixels, within int32
@@ -69,7 +70,7 @@ class Options:
     depth_mode: DepthMode
     return_median_depth: bool
     return_normals: bool
-    projected: tuple[tuple[str, Any], ...]  # camera model, thresholds and filter of the projection, by their names
+    projected: tuple[tuple[str, Any], ...]  # camera model, thresholds, filter and backend of the projection
     rules: Rules
 
 
@@ -300,7 +301,7 @@ def rasterization(
     if backend != "reference":
         arrays = jax.tree.map(in_float32, arrays)
     projected = {"eps2d": eps2d, "near_plane": near_plane, "far_plane": far_plane, "radius_clip": radius_clip}
-    projected |= {"rasterize_mode": rasterize_mode, "camera_model": camera_model}
+    projected |= {"rasterize_mode": rasterize_mode, "camera_model": camera_model, "backend": backend}
     projected = tuple(projected.items())
     if capacity is None and backend != "reference":
         try:

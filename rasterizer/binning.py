@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Int32
 
-from rasterizer.projection import Projection
+from rasterizer.ewa import Projection
 from rasterizer.rules import Rules
 
 

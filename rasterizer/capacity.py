@@ -9,7 +9,8 @@ import numpy as np
 from jax import Array
 
 from rasterizer.binning import TileGrid, count_pairs
-from rasterizer.projection import Projection, project
+from rasterizer.ewa import Projection
+from rasterizer.projection import project
 from rasterizer.rules import Rules
 
 

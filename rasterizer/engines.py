@@ -17,7 +17,7 @@ from rasterizer.arrays import in_float32
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.compositing import Engine, Front, Static, composite
 from rasterizer.devices import default_device, has_triton, wants_determinism, why_no_kernels
-from rasterizer.projection import Projection
+from rasterizer.ewa import Projection
 from rasterizer.rules import GSPLAT, Rules
 from rasterizer.tracing import reverse_only, vary_alike, without_axes
 

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int32
 
+from rasterizer.ewa import Projection
 from rasterizer.harmonics import spherical_harmonics
-from rasterizer.projection import Projection
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 

@@ -21,7 +21,8 @@ from rasterizer.camera_models import CAMERA_MODELS, CameraModelName, Lens
 from rasterizer.checks import absgrad_zeros, check_mode
 from rasterizer.covariances import Matrix, components, dot, matrix_rows, symmetric
 from rasterizer.engines import Backend, blend
-from rasterizer.projection import Projection, camera_position, project
+from rasterizer.ewa import Projection, camera_position
+from rasterizer.projection import project
 from rasterizer.rules import GSPLAT, Rules
 
 PADDING = np.iinfo(np.int64).max  # The intersection id of a slot that holds none: sorts last.

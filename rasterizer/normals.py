@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from rasterizer.arrays import takes_arrays
 from rasterizer.camera_models import CAMERA_MODELS, CameraModelName
 from rasterizer.covariances import components, dot, matrix_rows, rotation
-from rasterizer.projection import camera_position
+from rasterizer.ewa import camera_position
 
 
 @takes_arrays

@@ -1,177 +1,25 @@
-"""EWA projection: 3D Gaussians to 2D splats. Plain jnp, differentiated by JAX to any order.
-
-Written in components, each one array over all cameras and Gaussians: XLA's CPU loops over rows of structs are ten times
-slower.
-"""
+"""Gaussians to splats: the front door of the projection, in jnp or in a CPU's native loops."""
 
 from functools import partial
-from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from rasterizer.arrays import takes_arrays
-from rasterizer.camera_models import CAMERA_MODELS, CameraModel, CameraModelName, Lens
-from rasterizer.covariances import (
-    Matrix,
-    Vector,
-    components,
-    dot,
-    matrix_rows,
-    seen_from_axes,
-    seen_from_triangle,
-    tilt_from_axes,
-    tilt_from_triangle,
-    upper_triangle,
-)
+from rasterizer.camera_models import CAMERA_MODELS, CameraModelName
+from rasterizer.engines import Backend, native_loops
+from rasterizer.ewa import DepthMode, Options, Projection, RasterizeMode, project_in_jnp
 from rasterizer.rules import GSPLAT, Rules
-from rasterizer.tracing import vary_alike, walled
-
-RasterizeMode = Literal["classic", "antialiased"]
-DepthMode = Literal["center", "plane"]
-"""What a splat's depth is at a pixel: that of its centre, or where along the pixel's ray the Gaussian is densest."""
-
-SHOWN_SIGMAS = 3.33  # sqrt(2 ln 255): where a splat of opacity 1 falls under the alpha cut, standard deviations.
-
-
-class Projection(NamedTuple):
-    """Splats of C cameras and N Gaussians. Rows that are not `visible` hold harmless values."""
-
-    means2d: Float[Array, "C N 2"]  # pixels
-    depths: Float[Array, "C N"]  # camera z, scene units
-    conics: Float[Array, "C N 3"]  # inverse 2D covariance (xx, xy, yy), 1 / pixels^2
-    extents: Float[Array, "C N 2"]  # half width and height of what can pass the alpha cut, pixels; 0 where not visible
-    visible: Bool[Array, "C N"]  # in front, finite, not too faint, inside the image
-    compensations: Float[Array, "C N"] | None = None  # factor of the opacity that undoes the blur; None if classic
-    slopes: Float[Array, "C N 2"] | None = None  # what depth gains per pixel along x and y; None: depth is the centre's
-
-
-class _Splats(NamedTuple):
-    """Components of a projection, `[C, N]` each."""
-
-    mean2d: Vector
-    depth: Array
-    conic: Vector
-    extent: Vector
-    visible: Array
-    compensation: Array | None
-    slope: Vector | None
-
-
-def camera_position(mean: Vector, viewmat: Matrix) -> Vector:
-    """A world point in the camera's frame."""
-    return [dot(viewmat[i], mean) + viewmat[i][3] for i in range(3)]
-
-
-def _compensation(det: Array, blurred: Array, rules: Rules) -> Array:
-    """What the blur spread a splat's energy by, undone: the root of the determinants' ratio (Mip-Splatting, eq. 9)."""
-    ratio = det / blurred
-    floor = rules.compensation_min**2
-    return jnp.where(ratio > floor, jnp.sqrt(jnp.where(ratio > floor, ratio, 1)), rules.compensation_min)
-
-
-def _within_reach(slope: Vector, tilt: Vector, room: Array) -> Vector:
-    """The slope, made flatter where the splat would show depths beyond `room` from its centre's.
-
-    Within k standard deviations of the splat, depth changes by k sqrt(slope . tilt) at most.
-    """
-    reach_squared = SHOWN_SIGMAS**2 * (slope[0] * tilt[0] + slope[1] * tilt[1])
-    beyond = reach_squared > room * room
-    flatter = jnp.where(beyond, room * jax.lax.rsqrt(jnp.where(beyond, reach_squared, 1)), 1)
-    return [part * flatter for part in slope]
-
-
-def _project_components(
-    mean: Vector,
-    shape: tuple[Vector, ...],
-    opacity: Array,
-    viewmat: Matrix,
-    lens: Lens,
-    *,
-    model: CameraModel,
-    size: tuple[int, int],
-    eps2d: float,
-    near_plane: float,
-    far_plane: float,
-    radius_clip: float,
-    rasterize_mode: RasterizeMode,
-    depth_mode: DepthMode,
-    rules: Rules,
-) -> _Splats:
-    """`shape`: quaternion and scales, or the upper triangle of a covariance."""
-    of_axes = len(shape) == 2
-    image_covariance = seen_from_axes if of_axes else seen_from_triangle
-    tilted = tilt_from_axes if of_axes else tilt_from_triangle
-    harmless_shape = ((1, 0, 0, 0), (1, 1, 1)) if of_axes else ((1, 0, 0, 1, 0, 1),)
-
-    def splat(mean, shape):
-        x, y, z = camera_position(mean, viewmat)
-        z_safe = jnp.where(z > near_plane, z, 1)
-        mean2d, row_x, row_y = model.image_point([x, y, z_safe], viewmat, lens, size)
-        rows = row_x, row_y
-        xx, xy, yy, sharp = image_covariance(*rows, *shape)
-        # det(S + eps 1) = det S + eps tr S + eps^2.
-        xx, yy, det = xx + eps2d, yy + eps2d, sharp + eps2d * (xx + yy) + eps2d * eps2d
-        # Divided by the root twice: the derivative of a plain division squares the determinant, which may overflow.
-        inverse_root = jax.lax.rsqrt(jnp.where(det > 0, det, 1))
-        conic = [part * inverse_root * inverse_root for part in (yy, -xy, xx)]
-        slope = None
-        if depth_mode == "plane":
-            # The mean of z given the pixel: conic x cov((u, v), z), blurred; adj(S + eps 1) = adj S + eps 1.
-            xz, yz, slope_x, slope_y = tilted(*rows, viewmat[2][:3], *shape)
-            slope = [(part + eps2d * c) * inverse_root * inverse_root for part, c in ((slope_x, xz), (slope_y, yz))]
-            slope = _within_reach(slope, [xz, yz], z_safe - near_plane)
-        return mean2d, z, conic, slope, [xx, yy], det, sharp
-
-    # First look, without gradient: whatever overflows or is not a number is swapped for a harmless Gaussian *before*
-    # the differentiated computation, since 0 x inf in a backward pass would be NaN.
-    mean2d, z, conic, slope, variances, det, _ = jax.lax.stop_gradient(splat(mean, shape))
-    usable = (z > near_plane) & (z < far_plane) & (det > 0) & (variances[0] > 0) & (variances[1] > 0)
-    usable &= opacity >= rules.alpha_min
-    for part in (*mean, *sum(shape, []), opacity, *mean2d, *conic, *(slope or ()), *variances, z, det):
-        usable &= jnp.isfinite(part)
-
-    def where_usable(parts: Vector, harmless) -> Vector:
-        return [jnp.where(usable, part, safe) for part, safe in zip(parts, harmless, strict=True)]
-
-    # A point one unit in front of the camera: -R^T t + R^T e_z.
-    ahead = [sum((at - viewmat[i][3]) * viewmat[i][j] for i, at in enumerate((0, 0, 1))) for j in range(3)]
-    mean2d, z, conic, slope, variances, det, sharp = splat(
-        where_usable(mean, jax.lax.stop_gradient(ahead)),
-        tuple(where_usable(parts, safe) for parts, safe in zip(shape, harmless_shape, strict=True)),
-    )
-    compensation = None
-    if rasterize_mode == "antialiased":
-        compensation = _compensation(sharp, det, rules)
-        opacity = opacity * compensation
-        usable &= jax.lax.stop_gradient(opacity) >= rules.alpha_min
-    sigmas = rules.extent_sigmas
-    if rules.opacity_extent:
-        # alpha falls to alpha_min where exp(-s^2 / 2) = alpha_min / opacity.
-        ratio = jnp.where(usable, opacity, 1) / rules.alpha_min
-        sigmas = jnp.minimum(sigmas, jnp.sqrt(2 * jnp.log(jnp.maximum(ratio, 1))))
-    extent = [jax.lax.stop_gradient(sigmas * jnp.sqrt(variance)) for variance in variances]
-    visible = usable
-    radii = [jnp.ceil(reach) for reach in extent]  # Whole pixels, as gsplat's are.
-    if radius_clip > 0:
-        visible &= (radii[0] > radius_clip) | (radii[1] > radius_clip)
-    for center, radius, limit in zip(jax.lax.stop_gradient(mean2d), radii, size, strict=True):
-        visible &= (center + radius > 0) & (center - radius < limit)
-    extent = [jnp.where(visible, reach, 0) for reach in extent]
-    return _Splats(mean2d, z, conic, extent, visible, compensation, slope)
+from rasterizer.tracing import reverse_only, vary_alike, without_axes
 
 
 def require_shape(quats: Array | None, scales: Array | None, covars: Array | None) -> None:
     """Raise ValueError where nothing says what shape the Gaussians have."""
     if covars is None and (quats is None or scales is None):
         raise ValueError("a Gaussian's shape is missing: pass quats and scales, or covars")
-
-
-_OPTIONS = "model size eps2d near_plane far_plane radius_clip rasterize_mode depth_mode rules"
-_traced_once = jax.jit(_project_components, static_argnames=_OPTIONS.split())
-"""The same; jax keeps its trace and derivatives, a fourth of what a program with a projection takes to compile."""
 
 
 @takes_arrays
@@ -195,6 +43,7 @@ def project(
     camera_model: CameraModelName = "pinhole",
     radial_coeffs: Float[Array, "C 4"] | None = None,
     rules: Rules = GSPLAT,
+    backend: Backend = "auto",
 ) -> Projection:
     """Project N Gaussians into C cameras (EWA splatting; conventions of gsplat 1.6).
 
@@ -222,10 +71,11 @@ def project(
             pixels per scene unit; "fisheye", equidistant. Depth is camera z with all. Static.
         radial_coeffs: k1 to k4 of the fisheye lens (Kannala and Brandt; OpenCV's order); None for zeros.
         rules: Decides extents and the opacity below which nothing shows.
+        backend: "native" is the loops of a CPU, for float32, quats and scales, and pinhole cameras. Static.
 
     Returns:
         `Projection`; `means2d`, `depths`, `conics`, `compensations` and `slopes` are differentiable to means, quats,
-        scales, covars, viewmats, Ks and radial_coeffs.
+        scales, covars, viewmats, Ks and radial_coeffs; with the loops by `jax.grad` and `jax.vjp` alone, once.
 
     Raises:
         ValueError: There are neither quats and scales nor covars.
@@ -234,38 +84,56 @@ def project(
     require_shape(quats, scales, covars)
     arrays = means, quats, scales, opacities, viewmats, Ks, covars, radial_coeffs
     means, quats, scales, opacities, viewmats, Ks, covars, radial_coeffs = vary_alike(arrays)
-    shapes = (quats, scales) if covars is None else (upper_triangle(covars),)
-    inputs = (
-        components(means[None]),
-        tuple(components(jnp.expand_dims(shape, 0)) for shape in shapes),
-        opacities[None],
-        [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)],
-        Lens(
-            [[entry[:, None] for entry in row] for row in matrix_rows(Ks)],
-            None if radial_coeffs is None else [part[:, None] for part in components(radial_coeffs)],
-        ),
+    options = Options(
+        CAMERA_MODELS[camera_model],
+        (width, height),
+        float(eps2d),
+        float(near_plane),
+        float(far_plane),
+        float(radius_clip),
+        rasterize_mode,
+        depth_mode,
+        rules,
     )
+    axes = means, quats, scales, opacities, viewmats, Ks
+    if covars is None and camera_model == "pinhole" and native_loops(backend) and _are_single(axes):
+        return _in_loops(options, *map(reverse_only, axes))
+    return project_in_jnp(options, *axes, covars, radial_coeffs)
 
-    project_all = partial(
-        _traced_once,
-        model=CAMERA_MODELS[camera_model],
-        size=(width, height),
-        eps2d=float(eps2d),
-        near_plane=float(near_plane),
-        far_plane=float(far_plane),
-        radius_clip=float(radius_clip),
-        rasterize_mode=rasterize_mode,
-        depth_mode=depth_mode,
-        rules=rules,
-    )
-    # Recomputed on the way back: the inputs alone are kept in memory.
-    splats = walled(jax.checkpoint(project_all), jnp.any(opacities >= rules.alpha_min), *inputs)
-    return Projection(
-        jnp.stack(splats.mean2d, -1),
-        splats.depth,
-        jnp.stack(splats.conic, -1),
-        jnp.stack(splats.extent, -1),
-        splats.visible,
-        splats.compensation,
-        None if splats.slope is None else jnp.stack(splats.slope, -1),
-    )
+
+def _are_single(arrays: tuple[Array, ...]) -> bool:
+    return all(each.dtype == jnp.float32 for each in arrays)
+
+
+def _numbers(options: Options) -> Array:
+    """What the loops read of the options."""
+    rules = options.rules
+    thresholds = options.eps2d, options.near_plane, options.far_plane, options.radius_clip
+    switches = options.rasterize_mode == "antialiased", options.depth_mode == "plane", rules.opacity_extent
+    cuts = rules.alpha_min, rules.compensation_min, rules.extent_sigmas
+    return jnp.asarray(np.array([*options.size, *thresholds, *cuts, *switches], np.float32))
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _in_loops(options: Options, *arrays: Array) -> Projection:
+    loops = native_loops("native")
+    assert loops
+    with_factors, with_slopes = options.rasterize_mode == "antialiased", options.depth_mode == "plane"
+    projection = without_axes(partial(loops.project, with_factors, with_slopes), *arrays, _numbers(options))
+    factors, slopes = projection.compensations, projection.slopes
+    return projection._replace(compensations=factors if with_factors else None, slopes=slopes if with_slopes else None)
+
+
+def _in_loops_bwd(options: Options, arrays: tuple[Array, ...], cotangents: Projection):
+    loops = native_loops("native")
+    assert loops
+    *gaussians, viewmats, Ks = arrays
+    parts = cotangents.means2d, cotangents.depths, cotangents.conics, cotangents.compensations, cotangents.slopes
+    parts = [jnp.zeros(0, jnp.float32) if part is None else part for part in parts]
+    gradients = without_axes(loops.project_gradient, *arrays, _numbers(options), *parts)
+    # XLA leaves this out where no gradient to the cameras is used.
+    of_cameras = jax.vjp(lambda *cameras: project_in_jnp(options, *gaussians, *cameras), viewmats, Ks)[1]
+    return *gradients, jnp.zeros_like(gaussians[3]), *of_cameras(cotangents)
+
+
+_in_loops.defvjp(lambda options, *arrays: (_in_loops(options, *arrays), arrays), _in_loops_bwd)

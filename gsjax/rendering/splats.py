@@ -116,7 +116,7 @@ def splat(
         ValueError: No capacity is given inside a compiled program, where a backend cannot count.
     """
     scene, camera = in_one_dtype(gaussians, camera, backend)
-    projection, opacities = projected(scene, camera, depth_mode)
+    projection, opacities = projected(scene, camera, depth_mode, backend)
     if means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
     return binned(projection, opacities, camera, capacity, backend)
@@ -125,7 +125,7 @@ def splat(
 def needed_capacity(gaussians: Any, camera: Camera, backend: rasterizer.Backend = "auto") -> Array:
     """`[]` int32 length of the pair buffer that this view needs."""
     scene, camera = in_one_dtype(gaussians, camera, backend)
-    return rasterizer.count_pairs(_project(scene, camera), tile_grid(camera, backend))
+    return rasterizer.count_pairs(_project(scene, camera, "center", backend), tile_grid(camera, backend))
 
 
 def largest_need(gaussians: Any, cameras: Iterable[Camera]) -> int:
@@ -136,9 +136,11 @@ def largest_need(gaussians: Any, cameras: Iterable[Camera]) -> int:
 _needed = jax.jit(needed_capacity, static_argnames="backend")
 
 
-def projected(scene: Drawable, camera: Camera, depth_mode: DepthMode) -> tuple[rasterizer.Projection, Array]:
+def projected(
+    scene: Drawable, camera: Camera, depth_mode: DepthMode, backend: rasterizer.Backend = "auto"
+) -> tuple[rasterizer.Projection, Array]:
     """The splats of one view, and `[N]` their opacities as its pixels see them."""
-    projection = _project(scene, camera, depth_mode)
+    projection = _project(scene, camera, depth_mode, backend)
     opacities = scene.opacities
     if projection.compensations is not None:
         opacities = opacities * projection.compensations[0]
@@ -161,7 +163,9 @@ def binned(
     return Splats(projection, opacities, pairs, grid, backend)
 
 
-def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") -> rasterizer.Projection:
+def _project(
+    scene: Drawable, camera: Camera, depth_mode: DepthMode, backend: rasterizer.Backend
+) -> rasterizer.Projection:
     return rasterizer.project(
         scene.means,
         scene.quats,
@@ -173,6 +177,7 @@ def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") 
         camera.height,
         covars=scene.covars,
         depth_mode=depth_mode,
+        backend=backend,
         **PIXEL_FILTERS[scene.pixel_filter],
     )
 

@@ -1,7 +1,8 @@
 """The CPU's tile engine as native loops: numba compiles them, XLA calls them, no Python runs in between.
 
-`blending` is the text of the blend, `tiles` walks the list of a tile, `lists`, `passes`, `harmonics`, `similarity` and
-`updates` are what XLA calls, `calls` is how it calls and how threads share the work, `engine` is the face to jax.
+`blending` is the text of the blend and `ewa` that of the projection, `tiles` walks the list of a tile, `projection`,
+`lists`, `passes`, `harmonics`, `similarity` and `updates` are what XLA calls, `calls` is how it calls and how threads
+share the work, `engine` is the face to jax.
 Importing this package compiles it all, or loads it; `rasterizer.engines` does so when the engine is first used.
 """
 
@@ -12,6 +13,8 @@ with disk_cache():
         ENGINE,
         adam,
         all_finite,
+        project,
+        project_gradient,
         ssim,
         ssim_gradient,
         upper_bands,
@@ -29,6 +32,8 @@ __all__ = [
     "MAX_SIDE",
     "adam",
     "all_finite",
+    "project",
+    "project_gradient",
     "ssim",
     "ssim_gradient",
     "upper_bands",

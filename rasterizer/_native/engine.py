@@ -11,13 +11,14 @@ from jax import Array
 from rasterizer._native import harmonics as _harmonics
 from rasterizer._native import lists as _lists
 from rasterizer._native import passes as _passes
+from rasterizer._native import projection as _projection
 from rasterizer._native import similarity as _similarity
 from rasterizer._native import updates as _updates
 from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.tiles import GEOMETRY, MAX_SIDE
 from rasterizer.binning import TileGrid, TilePairs, sigma_cuts
 from rasterizer.compositing import Blended, Engine, Static
-from rasterizer.projection import Projection
+from rasterizer.ewa import Projection
 from rasterizer.rules import Rules
 
 
@@ -31,6 +32,8 @@ def _check_interface() -> None:
 
 _check_interface()
 _HANDLERS = (
+    _projection.project,
+    _projection.project_gradient,
     _lists.lists,
     _passes.forward,
     _passes.backward,
@@ -121,6 +124,25 @@ def bin_splats(
     listed = _listed(projection, opacities, grid, rules, masks)
     splats, offsets, needed = _call("lists", results, *listed)
     return TilePairs(splats, offsets, needed, needed > capacity)
+
+
+def project(with_factors: bool, with_slopes: bool, *arrays: Array) -> Projection:
+    """`rasterizer.project` of means, quats, scales, opacities, viewmats, Ks and options (see `_native.projection`).
+
+    Compensations and slopes are empty where they are not wanted.
+    """
+    splats = arrays[4].shape[0], arrays[0].shape[0]
+    widths = (2,), (), (3,), (), (2,), (2,)
+    are_wanted = True, True, True, with_factors, with_slopes, True
+    shapes = [(*splats, *width) if wanted else (0,) for width, wanted in zip(widths, are_wanted, strict=True)]
+    results = [*(jax.ShapeDtypeStruct(shape, np.float32) for shape in shapes), jax.ShapeDtypeStruct(splats, bool)]
+    means2d, depths, conics, factors, slopes, extents, visible = _call("project", results, *arrays)
+    return Projection(means2d, depths, conics, extents, visible, factors, slopes)
+
+
+def project_gradient(*arrays: Array) -> list[Array]:
+    """Gradients to means, quats and scales, given what `project` was and the cotangents of its differentiable parts."""
+    return _call("project_gradient", [jax.ShapeDtypeStruct(each.shape, np.float32) for each in arrays[:3]], *arrays)
 
 
 def adam(parameters: Array, gradients: Array, mu: Array, nu: Array, numbers: Array, skipped: Array) -> list[Array]:

@@ -27,7 +27,7 @@ from rasterizer._native.calls import (
 )
 from rasterizer._native.compiled import entry_point, inlined
 from rasterizer._native.instructions import address_of, as_floats, define, floats_at, floats_on_stack, words_on_stack
-from rasterizer._native.vectors import LANES, absolute, load, square_root, store, where
+from rasterizer._native.vectors import LANES, absolute, larger, load, square_root, store, where
 
 BLOCK, STRIP = 512, 32  # rows that a thread takes at a time, and those whose basis functions it holds
 BANDS = {3, 8, 15}  # numbers of the basis functions of degree 1 to 3, and all below
@@ -50,12 +50,6 @@ TWO, THREE, FOUR, SIX, EIGHT = map(np.float32, (2, 3, 4, 6, 8))
 # weights, values or their cotangents, and of the gradients to directions and coefficients.
 _ROWS, _BANDS, _WEIGHT_ROWS, _DIRS, _COEFFS, _WEIGHTS, _VALUES, _D_DIRS, _D_COEFFS = range(9)
 _JOB_WORDS = 9
-
-
-@inlined
-def larger(one, other):
-    """The larger of two numbers, any of which may be NaN."""
-    return where(one > other, one, other)
 
 
 @inlined

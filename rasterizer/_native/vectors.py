@@ -143,6 +143,18 @@ def maximum(builder, one, other):
     return _extreme(builder, ">", one, other)
 
 
+@_compiles_to(FLOATS, FLOATS, FLOATS)
+def larger(builder, one, other):
+    """Return the larger of two numbers; the second where either is NaN."""
+    return builder.select(builder.fcmp_ordered(">", one, other), one, other)
+
+
+@_compiles_to(FLOATS, FLOATS, FLOATS)
+def smaller(builder, one, other):
+    """Return the smaller of two numbers; the second where either is NaN."""
+    return builder.select(builder.fcmp_ordered("<", one, other), one, other)
+
+
 def _call(builder, name, value):
     kind = ir.FunctionType(FLOATS.vector, [FLOATS.vector])
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32"), [value])

@@ -1,0 +1,380 @@
+"""The projection of Gaussians into pinhole cameras and its gradient, as XLA calls them.
+
+A thread takes a block of Gaussians, and `LANES` of them at a time. Gradients are sums over the cameras in their order.
+A Gaussian whose cotangents are zero, as those of one that does not show, has zero gradients.
+"""
+
+import math
+
+import numpy as np
+
+from rasterizer._native.blending import ONE, ZERO
+from rasterizer._native.calls import (
+    HANDLER,
+    TASK,
+    argument,
+    data,
+    item_after,
+    job_of,
+    length,
+    let_go,
+    next_item,
+    no_memory,
+    only_introduces,
+    result,
+    set_word,
+    share,
+    size,
+    word,
+)
+from rasterizer._native.compiled import entry_point, inlined
+from rasterizer._native.ewa import (
+    Lens,
+    axes_gradient,
+    center_of,
+    conic_of,
+    covariance_gradient,
+    gaussian_of,
+    mean_gradient,
+    plus,
+    quat_gradient,
+    see,
+    tilt_gradient,
+    tilt_of,
+)
+from rasterizer._native.instructions import (
+    address_of,
+    as_bytes,
+    as_floats,
+    define,
+    floats_at,
+    floats_on_stack,
+    words_on_stack,
+)
+from rasterizer._native.vectors import LANES, broadcast, floor, load, square_root, store, where
+
+BLOCK = 512  # Gaussians that a thread takes at a time
+MARGIN = np.float32(0.15)  # of the image, by which the affine approximation is taken beyond it
+HALF = np.float32(0.5)
+
+# Of a job: Gaussians and cameras; addresses of means, quaternions, scales, opacities, viewmats, Ks, options; of what
+# comes out, or of its cotangents; of the gradients to means, quaternions and scales.
+_ROWS, _CAMERAS = 0, 1
+_MEANS, _QUATS, _SCALES, _OPACITIES, _VIEWMATS, _KS, _OPTIONS = range(2, 9)
+_MEANS2D, _DEPTHS, _CONICS, _COMPENSATIONS, _SLOPES, _EXTENTS, _VISIBLE = range(9, 16)
+_D_MEANS, _D_QUATS, _D_SCALES = range(16, 19)
+_JOB_WORDS = 19
+# Of the options, float32: the image's size, `project`'s numbers, `Rules`', and whether compensations and slopes are
+# computed and extents shrink.
+_WIDTH, _HEIGHT, _EPS2D, _NEAR, _FAR, _RADIUS_CLIP, _ALPHA_MIN, _COMPENSATION_MIN, _SIGMAS = range(9)
+_ANTIALIASED, _PLANE, _SHRINKS = 9, 10, 11
+
+
+@inlined
+def rows_of(job, place, row, width):
+    """The numbers of a row and those after it."""
+    return floats_at(as_floats(word(job, place)), row * width)
+
+
+@inlined
+def options_of(job):
+    """The options."""
+    return as_floats(word(job, _OPTIONS))
+
+
+@inlined
+def column(rows, width, place, count):
+    """The vector of one number of each row; zeros past the last row."""
+    held = floats_on_stack(LANES)
+    for i in range(LANES):
+        held[i] = rows[i * width + place] if i < count else ZERO
+    return load(held)
+
+
+@inlined
+def set_column(rows, width, place, count, vector):
+    """Writes one number of each row."""
+    held = floats_on_stack(LANES)
+    store(held, vector)
+    for i in range(count):
+        rows[i * width + place] = held[i]
+
+
+@inlined
+def columns_of_three(job, place, row, count):
+    """Three vectors."""
+    rows = rows_of(job, place, row, 3)
+    return column(rows, 3, 0, count), column(rows, 3, 1, count), column(rows, 3, 2, count)
+
+
+@inlined
+def set_columns_of_three(job, place, row, count, vectors):
+    """Writes three numbers of each row."""
+    rows = rows_of(job, place, row, 3)
+    set_column(rows, 3, 0, count, vectors[0])
+    set_column(rows, 3, 1, count, vectors[1])
+    set_column(rows, 3, 2, count, vectors[2])
+
+
+@inlined
+def columns_of_two(job, place, row, count):
+    """Two vectors."""
+    rows = rows_of(job, place, row, 2)
+    return column(rows, 2, 0, count), column(rows, 2, 1, count)
+
+
+@inlined
+def set_columns_of_two(job, place, row, count, vectors):
+    """Writes two numbers of each row."""
+    rows = rows_of(job, place, row, 2)
+    set_column(rows, 2, 0, count, vectors[0])
+    set_column(rows, 2, 1, count, vectors[1])
+
+
+@inlined
+def lens_of(job, camera):
+    """A camera's `Lens`."""
+    v, k, options = rows_of(job, _VIEWMATS, camera, 16), rows_of(job, _KS, camera, 9), options_of(job)
+    fx, fy, cx, cy = k[0], k[4], k[2], k[5]
+    width, height = options[_WIDTH], options[_HEIGHT]
+    return Lens(
+        ((v[0], v[1], v[2]), (v[4], v[5], v[6]), (v[8], v[9], v[10])),
+        (v[3], v[7], v[11]),
+        (fx, fy),
+        (cx, cy),
+        (-cx / fx - MARGIN * width / fx, -cy / fy - MARGIN * height / fy),
+        ((width - cx) / fx + MARGIN * width / fx, (height - cy) / fy + MARGIN * height / fy),
+        (width, height),
+        options[_EPS2D],
+        options[_NEAR],
+        options[_FAR],
+    )
+
+
+@inlined
+def gaussians_at(job, first, count):
+    """The Gaussians from a row on."""
+    quats = rows_of(job, _QUATS, first, 4)
+    w, x = column(quats, 4, 0, count), column(quats, 4, 1, count)
+    y, z = column(quats, 4, 2, count), column(quats, 4, 3, count)
+    mean, scales = columns_of_three(job, _MEANS, first, count), columns_of_three(job, _SCALES, first, count)
+    return gaussian_of(mean, (w, x, y, z), scales)
+
+
+@inlined
+def is_usable(job, g, seen, lens, opacity):
+    """Where a Gaussian is in front, not too faint, and nothing of it overflows or is NaN."""
+    center, conic, (xx, _, yy) = center_of(seen, lens), conic_of(seen), seen.variances
+    # Zero times a number that is not finite is NaN.
+    total = ZERO * seen.det + ZERO * opacity + ZERO * (xx + yy) + ZERO * (center[0] + center[1])
+    total = total + ZERO * conic[0] + ZERO * conic[1] + ZERO * conic[2]
+    if options_of(job)[_PLANE] > ZERO:
+        tilt = tilt_of(g, seen, lens)
+        total = total + ZERO * (tilt.steep[0] * tilt.flatter) + ZERO * (tilt.steep[1] * tilt.flatter)
+    z = seen.depth
+    usable = (z > lens.near) & (z < lens.far) & (seen.det > ZERO) & (xx > ZERO) & (yy > ZERO)
+    return usable & (opacity >= broadcast(options_of(job)[_ALPHA_MIN])) & (total == ZERO)
+
+
+@inlined
+def compensation_of(seen, least):
+    """The factor of the opacity that undoes the blur, and whether it is above the least one."""
+    ratio = seen.sharp / seen.det
+    above = ratio > broadcast(least * least)
+    return where(above, square_root(where(above, ratio, ONE)), least), above
+
+
+@inlined
+def sigmas_of(job, opacity):
+    """The standard deviations up to which a splat can pass the alpha cut."""
+    options, held = options_of(job), floats_on_stack(LANES)
+    store(held, opacity)
+    for i in range(LANES):
+        sigmas = options[_SIGMAS]
+        if options[_SHRINKS] > ZERO:
+            # Alpha falls to its cut where exp(-s^2 / 2) = cut / opacity.
+            sigmas = min(sigmas, np.float32(math.sqrt(2 * math.log(max(held[i] / options[_ALPHA_MIN], ONE)))))
+        held[i] = sigmas
+    return load(held)
+
+
+@inlined
+def project_some(job, camera, first, count):
+    """Projects the Gaussians from a row on into a camera."""
+    lens, options, row = lens_of(job, camera), options_of(job), camera * word(job, _ROWS) + first
+    g, opacity = gaussians_at(job, first, count), column(rows_of(job, _OPACITIES, first, 1), 1, 0, count)
+    seen = see(g, lens)
+    usable = is_usable(job, g, seen, lens, opacity)
+    if options[_ANTIALIASED] > ZERO:
+        factor, _ = compensation_of(seen, options[_COMPENSATION_MIN])
+        opacity = opacity * factor
+        set_column(rows_of(job, _COMPENSATIONS, row, 1), 1, 0, count, where(usable, factor, ONE))
+    if options[_PLANE] > ZERO:
+        tilt = tilt_of(g, seen, lens)
+        steep_x, steep_y = tilt.steep[0] * tilt.flatter, tilt.steep[1] * tilt.flatter
+        set_columns_of_two(job, _SLOPES, row, count, (where(usable, steep_x, ZERO), where(usable, steep_y, ZERO)))
+    (x, y), conic = center_of(seen, lens), conic_of(seen)
+    x, y = where(usable, x, lens.center[0]), where(usable, y, lens.center[1])
+    set_columns_of_two(job, _MEANS2D, row, count, (x, y))
+    set_column(rows_of(job, _DEPTHS, row, 1), 1, 0, count, where(usable, seen.depth, ONE))
+    conic = where(usable, conic[0], ONE), where(usable, conic[1], ZERO), where(usable, conic[2], ONE)
+    set_columns_of_three(job, _CONICS, row, count, conic)
+    usable = usable & (opacity >= broadcast(options[_ALPHA_MIN]))
+    sigmas, (xx, _, yy) = sigmas_of(job, where(usable, opacity, ONE)), seen.variances
+    set_extents(job, row, count, usable, (x, y), (sigmas * square_root(xx), sigmas * square_root(yy)))
+
+
+@inlined
+def set_extents(job, row, count, usable, center, reach):
+    """Writes which splats are visible, and their extents."""
+    options = options_of(job)
+    radius_x, radius_y = -floor(-reach[0]), -floor(-reach[1])  # Whole pixels, as gsplat's are.
+    visible = usable & (center[0] + radius_x > ZERO) & (center[0] - radius_x < options[_WIDTH])
+    visible = visible & (center[1] + radius_y > ZERO) & (center[1] - radius_y < options[_HEIGHT])
+    if options[_RADIUS_CLIP] > ZERO:
+        visible = visible & ((radius_x > options[_RADIUS_CLIP]) | (radius_y > options[_RADIUS_CLIP]))
+    extents = where(visible, reach[0], ZERO), where(visible, reach[1], ZERO)
+    set_columns_of_two(job, _EXTENTS, row, count, extents)
+    held, flags = floats_on_stack(LANES), as_bytes(word(job, _VISIBLE) + row)
+    store(held, where(visible, ONE, broadcast(ZERO)))
+    for i in range(count):
+        flags[i] = held[i] > ZERO
+
+
+@inlined
+def gradient_in_view(job, camera, first, count, g, opacity):
+    """Gradients to mean, quaternion and scales of the Gaussians from a row on, as one camera sees them."""
+    lens, options, row = lens_of(job, camera), options_of(job), camera * word(job, _ROWS) + first
+    seen, nothing = see(g, lens), broadcast(ZERO)
+    center, conic = columns_of_two(job, _MEANS2D, row, count), columns_of_three(job, _CONICS, row, count)
+    depth, to_det, to_sharp = column(rows_of(job, _DEPTHS, row, 1), 1, 0, count), nothing, nothing
+    to_x, to_y, to_z = (nothing, nothing, nothing), (nothing, nothing, nothing), (nothing, nothing, nothing)
+    if options[_PLANE] > ZERO:
+        slopes = columns_of_two(job, _SLOPES, row, count)
+        to_x, to_y, to_z, to_det, to_depth = tilt_gradient(tilt_of(g, seen, lens), seen, lens, slopes)
+        depth = depth + to_depth
+    if options[_ANTIALIASED] > ZERO:
+        factor, above = compensation_of(seen, options[_COMPENSATION_MIN])
+        to_factor = column(rows_of(job, _COMPENSATIONS, row, 1), 1, 0, count)
+        to_ratio = where(above, HALF * to_factor / factor, ZERO) / seen.det
+        to_sharp, to_det = to_sharp + to_ratio, to_det - to_ratio * factor * factor
+    more_x, more_y = covariance_gradient(seen, lens, conic, to_det, to_sharp)
+    to_axes, to_scales, to_row_x, to_row_y = axes_gradient(g, seen, lens, plus(to_x, more_x), plus(to_y, more_y), to_z)
+    to_mean = mean_gradient(seen, lens, center, depth, to_row_x, to_row_y)
+    usable = is_usable(job, g, seen, lens, opacity)
+    return kept(usable, to_mean), kept_four(usable, quat_gradient(g, to_axes)), kept(usable, to_scales)
+
+
+@inlined
+def kept(mask, vectors):
+    """Three vectors, and zero where the mask does not hold."""
+    return where(mask, vectors[0], ZERO), where(mask, vectors[1], ZERO), where(mask, vectors[2], ZERO)
+
+
+@inlined
+def kept_four(mask, vectors):
+    """Four vectors, and zero where the mask does not hold."""
+    (x, y, z), w = kept(mask, vectors[1:]), where(mask, vectors[0], ZERO)
+    return w, x, y, z
+
+
+@inlined
+def is_pulled(job, camera, first, count):
+    """Whether a cotangent of the Gaussians from a row on is not zero."""
+    row = camera * word(job, _ROWS) + first
+    for place, width in ((_MEANS2D, 2), (_DEPTHS, 1), (_CONICS, 3), (_COMPENSATIONS, 1), (_SLOPES, 2)):
+        if word(job, place) != 0:
+            cotangents = rows_of(job, place, row, width)
+            for i in range(count * width):
+                if cotangents[i] != ZERO:
+                    return True
+    return False
+
+
+@inlined
+def differentiate_some(job, first, count):
+    """Writes the gradients of the Gaussians from a row on."""
+    g, opacity = gaussians_at(job, first, count), column(rows_of(job, _OPACITIES, first, 1), 1, 0, count)
+    nothing = broadcast(ZERO)
+    to_mean, to_scales = (nothing, nothing, nothing), (nothing, nothing, nothing)
+    w, to_axis = nothing, (nothing, nothing, nothing)
+    for camera in range(word(job, _CAMERAS)):
+        if is_pulled(job, camera, first, count):
+            mean, quat, scales = gradient_in_view(job, camera, first, count, g, opacity)
+            to_mean, to_scales = plus(to_mean, mean), plus(to_scales, scales)
+            w, to_axis = w + quat[0], plus(to_axis, quat[1:])
+    set_columns_of_three(job, _D_MEANS, first, count, to_mean)
+    set_columns_of_three(job, _D_SCALES, first, count, to_scales)
+    quats = rows_of(job, _D_QUATS, first, 4)
+    set_column(quats, 4, 0, count, w)
+    for place in range(3):
+        set_column(quats, 4, place + 1, count, to_axis[place])
+
+
+@entry_point(TASK)
+def project_in_threads(shared):
+    """Projects blocks until none is left."""
+    job, item = job_of(shared), next_item(shared)
+    while item >= 0:
+        end = min((item + 1) * BLOCK, word(job, _ROWS))
+        for camera in range(word(job, _CAMERAS)):
+            for first in range(item * BLOCK, end, LANES):
+                project_some(job, camera, first, min(LANES, end - first))
+        item = item_after(shared)
+    let_go(shared)
+
+
+@entry_point(TASK)
+def differentiate_in_threads(shared):
+    """Differentiates blocks until none is left."""
+    job, item = job_of(shared), next_item(shared)
+    while item >= 0:
+        end = min((item + 1) * BLOCK, word(job, _ROWS))
+        for first in range(item * BLOCK, end, LANES):
+            differentiate_some(job, first, min(LANES, end - first))
+        item = item_after(shared)
+    let_go(shared)
+
+
+define("rasterizer_project_in_threads", project_in_threads.address)
+define("rasterizer_differentiate_projection_in_threads", differentiate_in_threads.address)
+
+
+@inlined
+def read_arguments(frame, job):
+    """Writes sizes and addresses of Gaussians, cameras and options; returns the number of blocks."""
+    rows = length(argument(frame, 0), 0)
+    set_word(job, _ROWS, rows)
+    set_word(job, _CAMERAS, length(argument(frame, 4), 0))
+    for place in range(7):
+        set_word(job, _MEANS + place, data(argument(frame, place)))
+    return (rows + BLOCK - 1) // BLOCK
+
+
+@entry_point(HANDLER)
+def project(frame):
+    """(means, quats, scales, opacities, viewmats, Ks, options) -> the fields of `Projection`, from `means2d` on."""
+    if only_introduces(frame):
+        return 0
+    job = words_on_stack(_JOB_WORDS)
+    blocks = read_arguments(frame, job)
+    for place in range(7):
+        set_word(job, _MEANS2D + place, data(result(frame, place)))
+    return 0 if share(frame, address_of("rasterizer_project_in_threads"), job, blocks) else no_memory(frame)
+
+
+@entry_point(HANDLER)
+def project_gradient(frame):
+    """(the same, cotangents of means2d, depths, conics, compensations, slopes) -> of means, quats and scales."""
+    if only_introduces(frame):
+        return 0
+    job = words_on_stack(_JOB_WORDS)
+    blocks = read_arguments(frame, job)
+    for place in range(5):
+        held = size(argument(frame, 7 + place)) > 0
+        set_word(job, _MEANS2D + place, data(argument(frame, 7 + place)) if held else 0)
+    for place in range(3):
+        set_word(job, _D_MEANS + place, data(result(frame, place)))
+    if not share(frame, address_of("rasterizer_differentiate_projection_in_threads"), job, blocks):
+        return no_memory(frame)
+    return 0
