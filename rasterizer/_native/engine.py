@@ -134,7 +134,7 @@ def project(with_factors: bool, with_slopes: bool, *arrays: Array) -> Projection
     splats = arrays[4].shape[0], arrays[0].shape[0]
     widths = (2,), (), (3,), (), (2,), (2,)
     are_wanted = True, True, True, with_factors, with_slopes, True
-    shapes = [(*splats, *width) if wanted else (0,) for width, wanted in zip(widths, are_wanted, strict=True)]
+    shapes = [(*splats, *width) if is_wanted else (0,) for width, is_wanted in zip(widths, are_wanted, strict=True)]
     results = [*(jax.ShapeDtypeStruct(shape, np.float32) for shape in shapes), jax.ShapeDtypeStruct(splats, bool)]
     means2d, depths, conics, factors, slopes, extents, visible = _call("project", results, *arrays)
     return Projection(means2d, depths, conics, extents, visible, factors, slopes)

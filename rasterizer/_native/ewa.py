@@ -42,7 +42,7 @@ class Gaussian(NamedTuple):
     axes: tuple  # three columns of the rotation
 
 
-class Seen(NamedTuple):
+class InView(NamedTuple):
     """A Gaussian in the image, and what its derivative needs, vectors."""
 
     depth: object
@@ -113,7 +113,8 @@ def gaussian_of(mean, quat, scales):
     largest = larger(larger(absolute(w), absolute(x)), larger(absolute(y), absolute(z)))
     is_zero = largest < ZERO_QUAT
     safe = where(is_zero, ONE, largest)
-    w, x, y, z = where(is_zero, ONE, w / safe), x / safe, y / safe, z / safe
+    # The largest of numbers and NaN may be a number: what is NaN stays so, w too.
+    w, x, y, z = where(is_zero, ONE + ZERO * w, w / safe), x / safe, y / safe, z / safe
     inverse = ONE / square_root(w * w + x * x + y * y + z * z)
     w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
     columns = (
@@ -126,15 +127,15 @@ def gaussian_of(mean, quat, scales):
 
 @inlined
 def see(g, lens):
-    """A `Seen`. Where a Gaussian is not in front, or overflows, its numbers mean nothing."""
-    turned = lens.rotation
-    point = plus((dot(turned[0], g.mean), dot(turned[1], g.mean), dot(turned[2], g.mean)), lens.translation)
+    """An `InView`. Where a Gaussian is not in front, or overflows, its numbers mean nothing."""
+    turn = lens.rotation
+    point = plus((dot(turn[0], g.mean), dot(turn[1], g.mean), dot(turn[2], g.mean)), lens.translation)
     safe = where(point[2] > lens.near, point[2], ONE)
     slope_x = smaller(larger(point[0] / safe, lens.least[0]), lens.most[0])
     slope_y = smaller(larger(point[1] / safe, lens.least[1]), lens.most[1])
     zoom_x, zoom_y = lens.focal[0] / safe, lens.focal[1] / safe
-    row_x = times(zoom_x, plus(turned[0], times(-slope_x, turned[2])))
-    row_y = times(zoom_y, plus(turned[1], times(-slope_y, turned[2])))
+    row_x = times(zoom_x, plus(turn[0], times(-slope_x, turn[2])))
+    row_y = times(zoom_y, plus(turn[1], times(-slope_y, turn[2])))
     x, y = products(along(row_x, g.axes), g.scales), products(along(row_y, g.axes), g.scales)
     normal = cross(x, y)
     xx, xy, yy, sharp = dot(x, x), dot(x, y), dot(y, y), dot(normal, normal)
@@ -143,39 +144,39 @@ def see(g, lens):
     variances = xx + lens.eps2d, xy, yy + lens.eps2d
     depth, point = point[2], (point[0], point[1], safe)
     slope, zoom, rows = (slope_x, slope_y), (zoom_x, zoom_y), (row_x, row_y)
-    return Seen(depth, point, slope, zoom, rows, x, y, normal, variances, sharp, det, inverse_root)
+    return InView(depth, point, slope, zoom, rows, x, y, normal, variances, sharp, det, inverse_root)
 
 
 @inlined
-def center_of(seen, lens):
+def center_of(view, lens):
     """The mean in the image."""
-    x, y, z = seen.point
+    x, y, z = view.point
     return lens.focal[0] * x / z + lens.center[0], lens.focal[1] * y / z + lens.center[1]
 
 
 @inlined
-def conic_of(seen):
+def conic_of(view):
     """The inverse covariance in the image: divided by the root of the determinant twice, as nothing overflows then."""
-    xx, xy, yy = seen.variances
-    root = seen.inverse_root
+    xx, xy, yy = view.variances
+    root = view.inverse_root
     return yy * root * root, -xy * root * root, xx * root * root
 
 
 @inlined
-def tilt_of(g, seen, lens):
+def tilt_of(g, view, lens):
     """A `Tilt`."""
     z = products(along(lens.rotation[2], g.axes), g.scales)
-    xz, yz, root = dot(seen.x, z), dot(seen.y, z), seen.inverse_root
-    steep_x = (dot(seen.normal, cross(z, seen.y)) + lens.eps2d * xz) * root * root
-    steep_y = (dot(seen.normal, cross(seen.x, z)) + lens.eps2d * yz) * root * root
-    reach_squared, room = REACH * (steep_x * xz + steep_y * yz), seen.point[2] - lens.near
+    xz, yz, root = dot(view.x, z), dot(view.y, z), view.inverse_root
+    steep_x = (dot(view.normal, cross(z, view.y)) + lens.eps2d * xz) * root * root
+    steep_y = (dot(view.normal, cross(view.x, z)) + lens.eps2d * yz) * root * root
+    reach_squared, room = REACH * (steep_x * xz + steep_y * yz), view.point[2] - lens.near
     beyond = reach_squared > room * room
     flatter = where(beyond, room / square_root(where(beyond, reach_squared, ONE)), ONE)
     return Tilt(z, xz, yz, (steep_x, steep_y), flatter, where(beyond, reach_squared, ZERO))
 
 
 @inlined
-def tilt_gradient(tilt, seen, lens, slopes):
+def tilt_gradient(tilt, view, lens, slopes):
     """Given that to the slopes, the gradients to x, y, z, the determinant and the depth."""
     through = slopes[0] * tilt.steep[0] + slopes[1] * tilt.steep[1]
     beyond = tilt.reach_squared > ZERO
@@ -184,12 +185,12 @@ def tilt_gradient(tilt, seen, lens, slopes):
     to_reach = where(beyond, -HALF * REACH * through * tilt.flatter / safe, ZERO)
     steep_x = slopes[0] * tilt.flatter + to_reach * tilt.xz
     steep_y = slopes[1] * tilt.flatter + to_reach * tilt.yz
-    root = seen.inverse_root
+    root = view.inverse_root
     to_det = -(steep_x * tilt.steep[0] + steep_y * tilt.steep[1]) * root * root
     of_x, of_y = steep_x * root * root, steep_y * root * root
     to_xz = to_reach * tilt.steep[0] + lens.eps2d * of_x
     to_yz = to_reach * tilt.steep[1] + lens.eps2d * of_y
-    x, y, z, normal = seen.x, seen.y, tilt.z, seen.normal
+    x, y, z, normal = view.x, view.y, tilt.z, view.normal
     to_normal = plus(times(of_x, cross(z, y)), times(of_y, cross(x, z)))
     to_x = plus(plus(times(of_y, cross(z, normal)), times(to_xz, z)), cross(y, to_normal))
     to_y = plus(plus(times(of_x, cross(normal, z)), times(to_yz, z)), cross(to_normal, x))
@@ -199,24 +200,24 @@ def tilt_gradient(tilt, seen, lens, slopes):
 
 
 @inlined
-def covariance_gradient(seen, lens, conic, to_det, to_sharp):
+def covariance_gradient(view, lens, conic, to_det, to_sharp):
     """Given that to the conic and both determinants, the gradients to x and y."""
-    xx, xy, yy = conic_of(seen)
-    root = seen.inverse_root
+    xx, xy, yy = conic_of(view)
+    root = view.inverse_root
     to_det = to_det - (conic[0] * xx + conic[1] * xy + conic[2] * yy) * root * root
     to_xx = TWO * (conic[2] * root * root + lens.eps2d * to_det)
     to_yy = TWO * (conic[0] * root * root + lens.eps2d * to_det)
     to_xy = -conic[1] * root * root
-    to_normal = times(TWO * (to_sharp + to_det), seen.normal)
-    to_x = plus(plus(times(to_xx, seen.x), times(to_xy, seen.y)), cross(seen.y, to_normal))
-    to_y = plus(plus(times(to_yy, seen.y), times(to_xy, seen.x)), cross(to_normal, seen.x))
+    to_normal = times(TWO * (to_sharp + to_det), view.normal)
+    to_x = plus(plus(times(to_xx, view.x), times(to_xy, view.y)), cross(view.y, to_normal))
+    to_y = plus(plus(times(to_yy, view.y), times(to_xy, view.x)), cross(to_normal, view.x))
     return to_x, to_y
 
 
 @inlined
-def axes_gradient(g, seen, lens, to_x, to_y, to_z):
+def axes_gradient(g, view, lens, to_x, to_y, to_z):
     """Given that to the rows along the scaled axes, the gradients to the axes, the scales and the two rows."""
-    row_x, row_y = seen.rows
+    row_x, row_y = view.rows
     row_z = lens.rotation[2]
     to_scales = products(to_x, along(row_x, g.axes))
     to_scales = plus(to_scales, products(to_y, along(row_y, g.axes)))
@@ -251,22 +252,22 @@ def quat_gradient(g, to_axes):
 
 
 @inlined
-def mean_gradient(seen, lens, center, depth, to_row_x, to_row_y):
+def mean_gradient(view, lens, center, depth, to_row_x, to_row_y):
     """Given that to the mean in the image, its depth and the two rows, the gradient to the mean."""
-    x, y, z = seen.point
-    turned, inverse = lens.rotation, ONE / z
+    x, y, z = view.point
+    turn, inverse = lens.rotation, ONE / z
     # A row is zoom (R_i - slope R_z); the slope is a constant where it was limited.
-    slope_x, slope_y = seen.slope
-    zoom_x, zoom_y = seen.zoom
-    to_zoom_x = dot(to_row_x, plus(turned[0], times(-slope_x, turned[2])))
-    to_zoom_y = dot(to_row_y, plus(turned[1], times(-slope_y, turned[2])))
+    slope_x, slope_y = view.slope
+    zoom_x, zoom_y = view.zoom
+    to_zoom_x = dot(to_row_x, plus(turn[0], times(-slope_x, turn[2])))
+    to_zoom_y = dot(to_row_y, plus(turn[1], times(-slope_y, turn[2])))
     ratio_x, ratio_y = x / z, y / z
-    to_ratio_x = center[0] * lens.focal[0] - where(ratio_x == slope_x, zoom_x * dot(to_row_x, turned[2]), ZERO)
-    to_ratio_y = center[1] * lens.focal[1] - where(ratio_y == slope_y, zoom_y * dot(to_row_y, turned[2]), ZERO)
+    to_ratio_x = center[0] * lens.focal[0] - where(ratio_x == slope_x, zoom_x * dot(to_row_x, turn[2]), ZERO)
+    to_ratio_y = center[1] * lens.focal[1] - where(ratio_y == slope_y, zoom_y * dot(to_row_y, turn[2]), ZERO)
     to_depth = depth - inverse * (to_zoom_x * zoom_x + to_zoom_y * zoom_y + to_ratio_x * ratio_x + to_ratio_y * ratio_y)
     to_point = to_ratio_x * inverse, to_ratio_y * inverse, to_depth
     return (
-        turned[0][0] * to_point[0] + turned[1][0] * to_point[1] + turned[2][0] * to_point[2],
-        turned[0][1] * to_point[0] + turned[1][1] * to_point[1] + turned[2][1] * to_point[2],
-        turned[0][2] * to_point[0] + turned[1][2] * to_point[1] + turned[2][2] * to_point[2],
+        turn[0][0] * to_point[0] + turn[1][0] * to_point[1] + turn[2][0] * to_point[2],
+        turn[0][1] * to_point[0] + turn[1][1] * to_point[1] + turn[2][1] * to_point[2],
+        turn[0][2] * to_point[0] + turn[1][2] * to_point[1] + turn[2][2] * to_point[2],
     )

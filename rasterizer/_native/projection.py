@@ -85,19 +85,19 @@ def options_of(job):
 @inlined
 def column(rows, width, place, count):
     """The vector of one number of each row; zeros past the last row."""
-    held = floats_on_stack(LANES)
+    lanes = floats_on_stack(LANES)
     for i in range(LANES):
-        held[i] = rows[i * width + place] if i < count else ZERO
-    return load(held)
+        lanes[i] = rows[i * width + place] if i < count else ZERO
+    return load(lanes)
 
 
 @inlined
 def set_column(rows, width, place, count, vector):
     """Writes one number of each row."""
-    held = floats_on_stack(LANES)
-    store(held, vector)
+    lanes = floats_on_stack(LANES)
+    store(lanes, vector)
     for i in range(count):
-        rows[i * width + place] = held[i]
+        rows[i * width + place] = lanes[i]
 
 
 @inlined
@@ -162,24 +162,24 @@ def gaussians_at(job, first, count):
 
 
 @inlined
-def is_usable(job, g, seen, lens, opacity):
+def is_usable(job, g, view, lens, opacity):
     """Where a Gaussian is in front, not too faint, and nothing of it overflows or is NaN."""
-    center, conic, (xx, _, yy) = center_of(seen, lens), conic_of(seen), seen.variances
+    center, conic, (xx, _, yy) = center_of(view, lens), conic_of(view), view.variances
     # Zero times a number that is not finite is NaN.
-    total = ZERO * seen.det + ZERO * opacity + ZERO * (xx + yy) + ZERO * (center[0] + center[1])
+    total = ZERO * view.det + ZERO * opacity + ZERO * (xx + yy) + ZERO * (center[0] + center[1])
     total = total + ZERO * conic[0] + ZERO * conic[1] + ZERO * conic[2]
     if options_of(job)[_PLANE] > ZERO:
-        tilt = tilt_of(g, seen, lens)
+        tilt = tilt_of(g, view, lens)
         total = total + ZERO * (tilt.steep[0] * tilt.flatter) + ZERO * (tilt.steep[1] * tilt.flatter)
-    z = seen.depth
-    usable = (z > lens.near) & (z < lens.far) & (seen.det > ZERO) & (xx > ZERO) & (yy > ZERO)
+    z = view.depth
+    usable = (z > lens.near) & (z < lens.far) & (view.det > ZERO) & (xx > ZERO) & (yy > ZERO)
     return usable & (opacity >= broadcast(options_of(job)[_ALPHA_MIN])) & (total == ZERO)
 
 
 @inlined
-def compensation_of(seen, least):
+def compensation_of(view, least):
     """The factor of the opacity that undoes the blur, and whether it is above the least one."""
-    ratio = seen.sharp / seen.det
+    ratio = view.sharp / view.det
     above = ratio > broadcast(least * least)
     return where(above, square_root(where(above, ratio, ONE)), least), above
 
@@ -187,15 +187,15 @@ def compensation_of(seen, least):
 @inlined
 def sigmas_of(job, opacity):
     """The standard deviations up to which a splat can pass the alpha cut."""
-    options, held = options_of(job), floats_on_stack(LANES)
-    store(held, opacity)
+    options, lanes = options_of(job), floats_on_stack(LANES)
+    store(lanes, opacity)
     for i in range(LANES):
         sigmas = options[_SIGMAS]
         if options[_SHRINKS] > ZERO:
             # Alpha falls to its cut where exp(-s^2 / 2) = cut / opacity.
-            sigmas = min(sigmas, np.float32(math.sqrt(2 * math.log(max(held[i] / options[_ALPHA_MIN], ONE)))))
-        held[i] = sigmas
-    return load(held)
+            sigmas = min(sigmas, np.float32(math.sqrt(2 * math.log(max(lanes[i] / options[_ALPHA_MIN], ONE)))))
+        lanes[i] = sigmas
+    return load(lanes)
 
 
 @inlined
@@ -203,24 +203,24 @@ def project_some(job, camera, first, count):
     """Projects the Gaussians from a row on into a camera."""
     lens, options, row = lens_of(job, camera), options_of(job), camera * word(job, _ROWS) + first
     g, opacity = gaussians_at(job, first, count), column(rows_of(job, _OPACITIES, first, 1), 1, 0, count)
-    seen = see(g, lens)
-    usable = is_usable(job, g, seen, lens, opacity)
+    view = see(g, lens)
+    usable = is_usable(job, g, view, lens, opacity)
     if options[_ANTIALIASED] > ZERO:
-        factor, _ = compensation_of(seen, options[_COMPENSATION_MIN])
+        factor, _ = compensation_of(view, options[_COMPENSATION_MIN])
         opacity = opacity * factor
         set_column(rows_of(job, _COMPENSATIONS, row, 1), 1, 0, count, where(usable, factor, ONE))
     if options[_PLANE] > ZERO:
-        tilt = tilt_of(g, seen, lens)
+        tilt = tilt_of(g, view, lens)
         steep_x, steep_y = tilt.steep[0] * tilt.flatter, tilt.steep[1] * tilt.flatter
         set_columns_of_two(job, _SLOPES, row, count, (where(usable, steep_x, ZERO), where(usable, steep_y, ZERO)))
-    (x, y), conic = center_of(seen, lens), conic_of(seen)
+    (x, y), conic = center_of(view, lens), conic_of(view)
     x, y = where(usable, x, lens.center[0]), where(usable, y, lens.center[1])
     set_columns_of_two(job, _MEANS2D, row, count, (x, y))
-    set_column(rows_of(job, _DEPTHS, row, 1), 1, 0, count, where(usable, seen.depth, ONE))
+    set_column(rows_of(job, _DEPTHS, row, 1), 1, 0, count, where(usable, view.depth, ONE))
     conic = where(usable, conic[0], ONE), where(usable, conic[1], ZERO), where(usable, conic[2], ONE)
     set_columns_of_three(job, _CONICS, row, count, conic)
     usable = usable & (opacity >= broadcast(options[_ALPHA_MIN]))
-    sigmas, (xx, _, yy) = sigmas_of(job, where(usable, opacity, ONE)), seen.variances
+    sigmas, (xx, _, yy) = sigmas_of(job, where(usable, opacity, ONE)), view.variances
     set_extents(job, row, count, usable, (x, y), (sigmas * square_root(xx), sigmas * square_root(yy)))
 
 
@@ -235,46 +235,46 @@ def set_extents(job, row, count, usable, center, reach):
         visible = visible & ((radius_x > options[_RADIUS_CLIP]) | (radius_y > options[_RADIUS_CLIP]))
     extents = where(visible, reach[0], ZERO), where(visible, reach[1], ZERO)
     set_columns_of_two(job, _EXTENTS, row, count, extents)
-    held, flags = floats_on_stack(LANES), as_bytes(word(job, _VISIBLE) + row)
-    store(held, where(visible, ONE, broadcast(ZERO)))
+    lanes, flags = floats_on_stack(LANES), as_bytes(word(job, _VISIBLE) + row)
+    store(lanes, where(visible, ONE, broadcast(ZERO)))
     for i in range(count):
-        flags[i] = held[i] > ZERO
+        flags[i] = lanes[i] > ZERO
 
 
 @inlined
 def gradient_in_view(job, camera, first, count, g, opacity):
     """Gradients to mean, quaternion and scales of the Gaussians from a row on, as one camera sees them."""
     lens, options, row = lens_of(job, camera), options_of(job), camera * word(job, _ROWS) + first
-    seen, nothing = see(g, lens), broadcast(ZERO)
+    view, nothing = see(g, lens), broadcast(ZERO)
     center, conic = columns_of_two(job, _MEANS2D, row, count), columns_of_three(job, _CONICS, row, count)
     depth, to_det, to_sharp = column(rows_of(job, _DEPTHS, row, 1), 1, 0, count), nothing, nothing
     to_x, to_y, to_z = (nothing, nothing, nothing), (nothing, nothing, nothing), (nothing, nothing, nothing)
     if options[_PLANE] > ZERO:
         slopes = columns_of_two(job, _SLOPES, row, count)
-        to_x, to_y, to_z, to_det, to_depth = tilt_gradient(tilt_of(g, seen, lens), seen, lens, slopes)
+        to_x, to_y, to_z, to_det, to_depth = tilt_gradient(tilt_of(g, view, lens), view, lens, slopes)
         depth = depth + to_depth
     if options[_ANTIALIASED] > ZERO:
-        factor, above = compensation_of(seen, options[_COMPENSATION_MIN])
+        factor, above = compensation_of(view, options[_COMPENSATION_MIN])
         to_factor = column(rows_of(job, _COMPENSATIONS, row, 1), 1, 0, count)
-        to_ratio = where(above, HALF * to_factor / factor, ZERO) / seen.det
+        to_ratio = where(above, HALF * to_factor / factor, ZERO) / view.det
         to_sharp, to_det = to_sharp + to_ratio, to_det - to_ratio * factor * factor
-    more_x, more_y = covariance_gradient(seen, lens, conic, to_det, to_sharp)
-    to_axes, to_scales, to_row_x, to_row_y = axes_gradient(g, seen, lens, plus(to_x, more_x), plus(to_y, more_y), to_z)
-    to_mean = mean_gradient(seen, lens, center, depth, to_row_x, to_row_y)
-    usable = is_usable(job, g, seen, lens, opacity)
-    return kept(usable, to_mean), kept_four(usable, quat_gradient(g, to_axes)), kept(usable, to_scales)
+    more_x, more_y = covariance_gradient(view, lens, conic, to_det, to_sharp)
+    to_axes, to_scales, to_row_x, to_row_y = axes_gradient(g, view, lens, plus(to_x, more_x), plus(to_y, more_y), to_z)
+    to_mean = mean_gradient(view, lens, center, depth, to_row_x, to_row_y)
+    usable = is_usable(job, g, view, lens, opacity)
+    return where_three(usable, to_mean), where_four(usable, quat_gradient(g, to_axes)), where_three(usable, to_scales)
 
 
 @inlined
-def kept(mask, vectors):
+def where_three(mask, vectors):
     """Three vectors, and zero where the mask does not hold."""
     return where(mask, vectors[0], ZERO), where(mask, vectors[1], ZERO), where(mask, vectors[2], ZERO)
 
 
 @inlined
-def kept_four(mask, vectors):
+def where_four(mask, vectors):
     """Four vectors, and zero where the mask does not hold."""
-    (x, y, z), w = kept(mask, vectors[1:]), where(mask, vectors[0], ZERO)
+    (x, y, z), w = where_three(mask, vectors[1:]), where(mask, vectors[0], ZERO)
     return w, x, y, z
 
 
@@ -371,8 +371,8 @@ def project_gradient(frame):
     job = words_on_stack(_JOB_WORDS)
     blocks = read_arguments(frame, job)
     for place in range(5):
-        held = size(argument(frame, 7 + place)) > 0
-        set_word(job, _MEANS2D + place, data(argument(frame, 7 + place)) if held else 0)
+        has_numbers = size(argument(frame, 7 + place)) > 0
+        set_word(job, _MEANS2D + place, data(argument(frame, 7 + place)) if has_numbers else 0)
     for place in range(3):
         set_word(job, _D_MEANS + place, data(result(frame, place)))
     if not share(frame, address_of("rasterizer_differentiate_projection_in_threads"), job, blocks):
