@@ -47,7 +47,7 @@ def test_what_holds_no_gaussians_is_one_line(tmp_path):
             attempt(tmp_path / "scene.obj")
 
 
-@pytest.mark.parametrize("name", ["g.spz", "g.compressed.ply", "g.sog"])
+@pytest.mark.parametrize("name", ["g.spz", "g.compressed.ply"])
 def test_a_file_of_local_coordinates_is_never_without_what_tells_them(tmp_path, monkeypatch, name):
     """The disk is full when the similarity is written, and the Gaussians lie where nobody could tell."""
     far = replace(cloud(30), means=np.asarray(cloud(30).means, np.float64) + 4.5e6)
@@ -62,12 +62,9 @@ def test_a_file_of_local_coordinates_is_never_without_what_tells_them(tmp_path, 
     np.testing.assert_allclose(gsjax.load_gaussians(tmp_path / name).means.mean(0), far.means.mean(0), atol=1e-2)
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.sog", "a.spz"])
-def test_free_rows_of_a_buffer_are_not_written(tmp_path, name):
+def test_free_rows_of_a_buffer_are_not_written(tmp_path):
     buffer = cloud(10, capacity=100)
-    gsjax.save_gaussians(buffer, tmp_path / name)
-    gaussians = gsjax.load_gaussians(tmp_path / name)
-    assert gaussians.num_gaussians == 10
-    assert float(gaussians.logit_opacities.min()) > -10
-    gsjax.save_gaussians(take(buffer, slice(10)), tmp_path / f"alone_{name}")
-    assert (tmp_path / name).read_bytes() == (tmp_path / f"alone_{name}").read_bytes()
+    for name, gaussians in (("a.spz", buffer), ("alone.spz", take(buffer, slice(10)))):
+        gsjax.save_gaussians(gaussians, tmp_path / name)
+    assert gsjax.load_gaussians(tmp_path / "a.spz").num_gaussians == 10
+    assert (tmp_path / "a.spz").read_bytes() == (tmp_path / "alone.spz").read_bytes()

@@ -1,4 +1,6 @@
 from io import BytesIO
+from itertools import product
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -69,10 +71,7 @@ def test_filtering_straight_colours_equals_filtering_the_premultiplied_image():
     colors, alpha = noise(8, 12, 3), noise(8, 12, seed=1)
     alpha[:2, :2] = 0
 
-    def halve(array):
-        return resize(array, 6, 4)
-
-    straight, coverage = filter_straight(colors, alpha, halve)
+    straight, coverage = filter_straight(colors, alpha, lambda array: resize(array, 6, 4))
 
     def blocks(array):
         return array.reshape(4, 2, 6, 2, -1).mean((1, 3))
@@ -85,23 +84,12 @@ def test_filtering_straight_colours_equals_filtering_the_premultiplied_image():
     assert (straight[0, 0] == 0).all() and coverage[0, 0] == 0
 
 
-@pytest.mark.parametrize("full", [(5187, 3361), (4946, 3286), (1957, 1091), (641, 480)])
-@pytest.mark.parametrize("factor", [1.0, 1.5, 1.9988, 2.0, 3.3, 4.0, 8.0])
-def test_a_size_fits_whichever_way_its_sides_were_rounded(full, factor):
-    sides = np.array(full) / factor
-    for width in {int(np.floor(sides[0])), int(np.ceil(sides[0]))}:
-        for height in {int(np.floor(sides[1])), int(np.ceil(sides[1]))}:
-            assert same_shape((width, height), full) and same_shape(full, (width, height))
-
-
 @pytest.mark.parametrize(
     ("size", "full", "fits"),
     [
         ((979, 546), (1957, 1091), True),  # Tanks and Temples
-        ((1297, 840), (5187, 3361), True),  # Mip-NeRF 360, images_4
         ((979, 549), (1957, 1091), False),  # three rows more than half of them
         ((546, 979), (1957, 1091), False),
-        ((1000, 1000), (1957, 1091), False),
         ((960, 540), (960, 544), False),  # four rows cut off
         ((1, 1), (1, 1), True),
     ],
@@ -110,15 +98,12 @@ def test_shapes_that_fit_and_that_do_not(size, full, fits):
     assert same_shape(size, full) == same_shape(full, size) == fits
 
 
-@pytest.mark.parametrize(("orientation", "size"), [(None, (7, 5)), (1, (7, 5)), (3, (7, 5)), (6, (5, 7)), (8, (5, 7))])
-def test_the_orientation_of_a_photo_turns_its_size_but_not_its_pixels(tmp_path, orientation, size):
-    exif = Image.Exif()
-    if orientation is not None:
-        exif[0x0112] = orientation
-    Image.fromarray(noise(5, 7, 3)).save(tmp_path / "a.jpg", exif=exif)
-    assert upright_size(tmp_path / "a.jpg") == size
-    assert image_size(tmp_path / "a.jpg") == (7, 5)
-    assert read_image(tmp_path / "a.jpg")[0].shape == (5, 7, 3)
+@pytest.mark.parametrize("full", [(5187, 3361), (641, 480)])
+def test_a_size_fits_whichever_way_its_sides_were_rounded(full):
+    for factor in (1.5, 1.9988, 3.3, 8.0):
+        width, height = np.array(full) / factor
+        sides = (int(np.floor(width)), int(np.ceil(width))), (int(np.floor(height)), int(np.ceil(height)))
+        assert all(same_shape(size, full) for size in product(*sides))
 
 
 def test_tiffs_of_floats_and_of_more_bits_are_read_as_what_they_hold(tmp_path):
@@ -141,7 +126,7 @@ def test_tiffs_of_floats_and_of_more_bits_are_read_as_what_they_hold(tmp_path):
 SIGNALLING = np.array([0x7FA00000], np.uint32).view(np.float32)[0]  # A NaN that numpy warns of where it is cast.
 
 
-@pytest.mark.parametrize("beyond", [-0.1, 1.5, np.nan, SIGNALLING, np.inf, 1e9])
+@pytest.mark.parametrize("beyond", [-0.1, 1.5, SIGNALLING, np.inf])
 def test_floats_of_no_known_range_are_refused(tmp_path, beyond):
     pixels = np.full((6, 4), 0.5, np.float32)
     pixels[2, 2] = beyond
@@ -150,9 +135,7 @@ def test_floats_of_no_known_range_are_refused(tmp_path, beyond):
         read_image(tmp_path / "hdr.tif")
 
 
-@pytest.mark.parametrize("name", ["a.png", "a.tif"])
-@pytest.mark.parametrize("channels", [1, 3, 4])
-@pytest.mark.parametrize("bits", [10, 12])
+@pytest.mark.parametrize(("name", "channels", "bits"), [("a.png", 1, 10), ("a.png", 4, 12), ("a.tif", 3, 12)])
 def test_few_bits_in_sixteen_are_refused_and_not_black(tmp_path, name, channels, bits):
     deep = np.squeeze(noise(6, 4, channels).astype(np.uint16)) * 257
     cv2.imwrite(str(tmp_path / name), deep >> 16 - bits)
@@ -198,25 +181,17 @@ def test_photos_are_held_to_memory_and_not_to_a_fixed_number_of_pixels(tmp_path,
     assert Image.MAX_IMAGE_PIXELS == 100
     Image.new("1", (12_000, 12_000)).save(tmp_path / "panorama.png")
     monkeypatch.setattr("gsjax.io.machine.free_memory", lambda: 2**30)
-    with pytest.raises(
-        InputError, match=r"panorama.png: a photo of 12000x12000 pixels takes 1.88 GiB of memory; 1 are"
-    ):
+    with pytest.raises(InputError, match="panorama.png: a photo of 12000x12000 pixels takes 1.88 GiB of memory; 1 are"):
         read_image(tmp_path / "panorama.png")
 
 
-@pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.tif", "a.webp"])
-def test_a_full_disk_is_told_and_leaves_no_part_of_an_image(tmp_path, monkeypatch, name):
-    """As the system tells it: a write that is short, then none."""
-    (tmp_path / name).write_bytes(b"the old one")
-
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
+def test_a_full_disk_is_told_and_leaves_no_part_of_an_image(tmp_path, monkeypatch):
+    (tmp_path / "a.png").write_bytes(b"the old one")
+    full = Mock(side_effect=OSError(28, "No space left on device"))
     monkeypatch.setattr("pathlib.Path.write_bytes", full)
-    with pytest.raises(InputError, match=f"cannot write .*{name}: No space left on device"):
-        write_image(tmp_path / name, noise(50, 70, 3))
-    assert [file.name for file in tmp_path.iterdir()] == [name]
-    assert (tmp_path / name).read_bytes() == b"the old one"
+    with pytest.raises(InputError, match="cannot write .*a.png: No space left on device"):
+        write_image(tmp_path / "a.png", noise(50, 70, 3))
+    assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"the old one"]
 
 
 def jpeg(progressive=False):
@@ -227,7 +202,7 @@ def jpeg(progressive=False):
 
 
 @pytest.mark.parametrize("progressive", [False, True])
-@pytest.mark.parametrize("end", [b"", b"\xff", bytes(9), b"\xff\xd9" + bytes(4096), b"\xff\xd9ftypmp42"])
+@pytest.mark.parametrize("end", [b"", bytes(9), b"\xff\xd9ftypmp42"])
 def test_a_jpeg_with_another_end_is_read_whole_and_named_where_its_marker_is_missing(
     tmp_path, capsys, progressive, end
 ):
@@ -243,7 +218,7 @@ def test_a_jpeg_with_another_end_is_read_whole_and_named_where_its_marker_is_mis
         assert message == f"{tmp_path / 'a.jpg'}: its end marker is missing, its pixels are all there; it is read\n"
 
 
-@pytest.mark.parametrize("missing", [4, 8, 20, 200])
+@pytest.mark.parametrize("missing", [4, 200])
 def test_a_jpeg_that_lacks_pixels_is_refused_with_and_without_its_end_marker(tmp_path, missing):
     (tmp_path / "a.jpg").write_bytes(jpeg()[:-missing])
     for reader in (check_image, read_image):
