@@ -58,10 +58,13 @@ def test_faults_of_images_are_named(colmap_scene, old, new, message):
         load_scene(root)
 
 
-@pytest.mark.parametrize("text", [True, False])
 @pytest.mark.parametrize(
-    ("model", "params"),
-    [("PINHOLE", (30, 0, 20, 15)), ("PINHOLE", (30, -31, 20, 15)), ("SIMPLE_RADIAL", (0, 20, 15, 0))],
+    ("model", "params", "text"),
+    [
+        ("PINHOLE", (30, 0, 20, 15), True),
+        ("PINHOLE", (30, -31, 20, 15), False),
+        ("SIMPLE_RADIAL", (0, 20, 15, 0), True),
+    ],
 )
 def test_focal_lengths_that_are_not_positive_are_refused(colmap_scene, model, params, text):
     root = colmap_scene(model=model, params=params, text=text)
@@ -76,8 +79,7 @@ def test_colours_of_fractions_are_shares(colmap_scene):
     np.testing.assert_array_equal(load_scene(root).point_colors, [[51, 128, 255], [0, 255, 191]])
 
 
-@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
+@pytest.mark.parametrize(("mark", "end"), [(b"", b"\r\n"), (b"\xef\xbb\xbf", b"\n")])
 def test_byte_order_marks_and_line_ends_of_windows_change_nothing(colmap_scene, mark, end):
     root = colmap_scene(text=True)
     for file in (root / "sparse/0").iterdir():
@@ -87,8 +89,10 @@ def test_byte_order_marks_and_line_ends_of_windows_change_nothing(colmap_scene, 
     assert len(scene.frames) == 10 and len(scene.points) == 5
 
 
-@pytest.mark.parametrize("prefix", ["/data/someone/images/", "C:\\Users\\me\\images\\", "../other/", "images\\"])
-@pytest.mark.parametrize("inside", ["", "left/"])
+@pytest.mark.parametrize(
+    ("prefix", "inside"),
+    [("/data/someone/images/", ""), ("C:\\Users\\me\\images\\", "left/"), ("../other/", "left/"), ("images\\", "")],
+)
 def test_paths_of_another_machine_are_found_by_their_last_parts(colmap_scene, prefix, inside, capsys):
     root = colmap_scene(text=True)
     (root / "images").rename(root / "photos")
@@ -105,10 +109,7 @@ def test_paths_of_another_machine_are_found_by_their_last_parts(colmap_scene, pr
 def test_paths_of_another_machine_that_end_alike_are_not_confused(colmap_scene):
     root = colmap_scene(count=2, text=True)
     rename(root, lambda name: f"/cam{name[2]}/images/000.png")
-    with pytest.raises(
-        InputError,
-        match="no such image; 2 of 2 photos cannot be used, and 2 are needed: cam0/images/000.png, cam1/images/000.png",
-    ):
+    with pytest.raises(InputError, match="no such image; 2 of 2 photos .*: cam0/images/000.png, cam1/images/000.png"):
         load_scene(root)
 
 

@@ -24,8 +24,9 @@ class OnAFullDisk:
         os.truncate(folder / self.name, int(self.share * (folder / self.name).stat().st_size))
 
 
-@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"])
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+@pytest.mark.parametrize(
+    ("name", "share"), [("cameras.bin", 0.0), ("images.bin", 0.5), ("points3D.bin", 0.99), ("rigs.bin", 0.5)]
+)
 def test_a_model_that_was_cut_by_a_full_disk_is_told(colmap_scene, tmp_path, name, share):
     model = pycolmap.Reconstruction(colmap_scene() / "sparse/0")
     with pytest.raises(InputError, match="cannot write .*out: the model did not come whole onto the disk, which has"):

@@ -15,10 +15,7 @@ from gsjax.io.scenes import load_scene
     ("change", "message"),
     [
         (lambda m: m.pop("frames"), 'has no list "frames"'),
-        (
-            lambda m: m.update(train_filenames=["images/gone.png"]),
-            "images/gone.png, which is the file_path of no frame",
-        ),
+        (lambda m: m.update(train_filenames=["images/gone.png"]), "gone.png, which is the file_path of no frame"),
         (lambda m: m.update(test_filenames=7), "test_filenames is no list of names"),
         (lambda m: m.update(frames=[f | {"is_bad": True} for f in m["frames"]]), "leaves all of its frames out"),
         (lambda m: m.update(camera_model=["OPENCV"]), "unknown camera_model that is no text"),
@@ -27,9 +24,7 @@ from gsjax.io.scenes import load_scene
         (lambda m: m.pop("fl_x"), "neither fl_x nor camera_angle_x"),
         (lambda m: m.update(cx=-9e6), "has a principal point that lies 100 times its size away"),
         (lambda m: m.update(fl_x=-5.0), "(PINHOLE 40x30 with -5, -5, 20, 15) has a focal length that is not positive"),
-        (lambda m: m.update(fl_x="wide"), "wide"),
         (lambda m: m.update(fl_x=10**300), "has fl_x 100000000000000000...0000000000000000000, which is no number"),
-        (lambda m: m.update(fl_x=0.7), "(PINHOLE 40x30 with 0.7, 0.7, 20, 15) has a focal length that is too short"),
         (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),
         (lambda m: m.update(k4=0.1), "takes no k4"),
         (lambda m: m.update(w=80, h=50), "image is 40x30 but its camera says 80x50"),
@@ -68,10 +63,9 @@ def test_a_frame_with_a_fault_is_left_out_and_named(tmp_path, capsys, change, me
     assert message in output and re.search("is left out(: .*)?\n", output)
 
 
-@pytest.mark.parametrize("size", [{}, {"w": 40, "h": 30}])
 @pytest.mark.parametrize("name", ["images/a\0b.png", "images/\ud800.png", f"images/{300 * 'x'}.png"])
-def test_a_frame_of_a_name_that_no_disk_holds_is_left_out(tmp_path, capsys, name, size):
-    root = write(tmp_path, fl_x=50.0, **size)
+def test_a_frame_of_a_name_that_no_disk_holds_is_left_out(tmp_path, capsys, name):
+    root = write(tmp_path, fl_x=50.0)
     whole = [frame.name for frame in load_scene(root).frames]
     edit(root, lambda m: m["frames"][3].update(file_path=name))
     assert [frame.name for frame in load_scene(root).frames] == whole[:3] + whole[4:]
