@@ -1,3 +1,4 @@
+import os
 import shutil
 import struct
 
@@ -7,7 +8,8 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.io.colmap import read_capture
-from gsjax.io.colmap_model import find_model
+from gsjax.io.colmap_model import find_model, read_model
+from gsjax.io.colmap_writer import write_whole
 from gsjax.io.scenes import load_scene
 from gsjax.scene.similarity import IDENTITY
 
@@ -187,3 +189,35 @@ def test_two_cameras_of_one_id_are_refused_unless_they_are_the_same(colmap_scene
     else:
         with pytest.raises(InputError, match="camera 1 is there twice"):
             load_scene(root)
+
+
+class OnAFullDisk:
+    """A model whose writer loses the end of one file and says nothing, as pycolmap's does."""
+
+    def __init__(self, model, name, share):
+        self.model, self.name, self.share = model, name, share
+
+    def __getattr__(self, name):
+        return getattr(self.model, name)
+
+    def write_binary(self, folder):
+        self.model.write_binary(folder)
+        os.truncate(folder / self.name, int(self.share * (folder / self.name).stat().st_size))
+
+
+@pytest.mark.parametrize(
+    ("name", "share"), [("cameras.bin", 0.0), ("images.bin", 0.5), ("points3D.bin", 0.99), ("rigs.bin", 0.5)]
+)
+def test_a_model_that_was_cut_by_a_full_disk_is_told(colmap_scene, tmp_path, name, share):
+    model = pycolmap.Reconstruction(colmap_scene() / "sparse/0")
+    with pytest.raises(InputError, match="cannot write .*out: the model did not come whole onto the disk, which has"):
+        write_whole(OnAFullDisk(model, name, share), tmp_path / "out")
+    write_whole(model, tmp_path / "out")
+    assert len(read_model(tmp_path / "out").images) == 10
+
+
+def test_a_folder_that_cannot_be_written_is_told(colmap_scene, tmp_path):
+    model = pycolmap.Reconstruction(colmap_scene() / "sparse/0")
+    (tmp_path / "out/points3D.bin").mkdir(parents=True)
+    with pytest.raises(InputError, match="cannot write .*out"):
+        write_whole(model, tmp_path / "out")

@@ -1,6 +1,7 @@
-"""Measured depth: what files hold, in their unit, at the pixels of a frame."""
+"""Measured depth: what files hold, in their unit, at the pixels of a frame of the same or another shape."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,11 @@ from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io.depth_maps import open_depth_maps
-from gsjax.io.depth_windows import on_grid
-from gsjax.scene import Pixels, frame_of
+from gsjax.io.depth_windows import on_grid, window_of
+from gsjax.io.scenes import load_scene
+from gsjax.planning.measured_depth import measured_depth
+from gsjax.scene import Origin, Pixels, frame_of
+from gsjax.settings import Supervision
 
 WIDTH, HEIGHT = 12, 8
 FRAMES = tuple(
@@ -132,3 +136,146 @@ def test_one_map_that_cannot_serve_is_left_out_and_named(tmp_path, fault, capfd)
     assert list(opened(tmp_path).read) == ["b.jpg"]
     message = capfd.readouterr().err
     assert message.count("\n") == 1 and "; 1 of 2 depth maps is left out" in message
+
+
+def frame(width, height, focal=100.0, center=None):
+    cx, cy = center or (width / 2, height / 2)
+    K = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1]], np.float32)
+    return frame_of("a.png", np.eye(4, dtype=np.float32), K, Pixels(np.zeros((height, width, 3), np.uint8)))
+
+
+def whole(values):
+    return values, np.full(values.shape, 255, np.uint8)
+
+
+def plane_depth(x, y):
+    """Depth by the ray, x/z and y/z: unlike in all directions."""
+    return (2 + 0.9 * x - 0.5 * y).astype(np.float32)
+
+
+def rays(width, height, fx, fy, cx, cy):
+    return (np.arange(width) + 0.5 - cx) / fx, ((np.arange(height) + 0.5 - cy) / fy)[:, None]
+
+
+@pytest.mark.parametrize(
+    ("size", "photo", "part"),
+    [
+        ((640, 480), (1296, 968), (640, 478)),  # ScanNet
+        ((224, 172), (960, 540), (224, 126)),  # 3RScan
+        ((640, 576), (2048, 1536), (640, 480)),  # Azure Kinect
+    ],
+)
+def test_of_a_map_of_another_shape_the_middle_shows_the_photo(tmp_path, size, photo, part):
+    """The map has square pixels and the photo's axis in its middle; it shows more above and below, or at the sides."""
+    focal = 0.8 * part[0]  # both see as much across their common part
+    depth = plane_depth(*rays(*size, focal, focal, size[0] / 2, size[1] / 2))
+    small = frame(photo[0] // 2, photo[1] // 2, 0.8 * (photo[0] // 2))
+    window, note = window_of(tmp_path / "a.png", size, small, None)
+    assert note.startswith(f"of maps of {size[0]}x{size[1]} the middle {part[0]}x")
+    photo_depth, trust = on_grid(whole(depth), small, 1, window)
+    K = small.K.astype(float)
+    expected = plane_depth(*rays(small.width, small.height, K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    is_measured = photo_depth > 0
+    np.testing.assert_array_equal(trust, 255 * is_measured)
+    assert is_measured.sum() >= 0.95 * min(photo_depth.size, part[0] * part[1]), "all of the photo is covered"
+    # A value is at most half a pixel, of the map or of the frame, away from the ray that it was measured on.
+    assert np.abs(photo_depth - expected)[is_measured].max() < (0.9 + 0.5) * 0.5 / min(focal, K[0, 0]) + 1e-3
+
+
+def test_intrinsics_place_a_map_where_its_camera_looked(tmp_path):
+    """A sensor with a wider view, off the photo's axis, that misses the right edge of the photo."""
+    photo = frame(60, 40, 70.0, (31.0, 19.0))
+    fx, fy, cx, cy, size = 65.0, 60.0, 48.0, 30.0, (70, 64)
+    depth = plane_depth(*rays(*size, fx, fy, cx, cy))
+    np_depth = tmp_path / "depth"
+    np_depth.mkdir()
+    np.save(np_depth / "a.npy", depth)
+    K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
+    (np_depth / "depth.json").write_text(json.dumps({"unit": "m", "intrinsics": K}))
+    maps = open_depth_maps(tmp_path, "depth", None, (photo,))
+    assert maps.note == "maps of 70x64 are read with their own intrinsics"
+    photo_depth, _ = maps.at(photo, 1)
+    x, y = rays(60, 40, 70.0, 70.0, 31.0, 19.0)
+    is_seen = np.broadcast_to((x * fx + cx < 70) & (y * fy + cy < 64), photo_depth.shape)
+    assert 0.6 < is_seen.mean() < 1
+    expected = np.broadcast_to(plane_depth(x, y), photo_depth.shape)
+    assert np.abs(photo_depth - expected)[is_seen & (photo_depth > 0)].max() < 0.02
+    assert (photo_depth[~is_seen] == 0).all() and (photo_depth[is_seen] > 0).mean() > 0.6
+
+
+def test_of_a_distorted_photo_the_middle_is_taken_before_its_distortion():
+    """The frame shows the left half of a photo of 24x8, whose map of 24x12 shows two rows more above and below."""
+    x, y = np.meshgrid((np.arange(12) + 0.5) / 24, (np.arange(8) + 0.5) / 8)
+    photo = replace(frame(12, 8), origin=Origin((24, 8), (12, 8), lambda: np.stack([x, y], -1)))
+    values = np.arange(1, 24 * 12 + 1, dtype=np.float32).reshape(12, 24)
+    window, _ = window_of("a.png", (24, 12), photo, None)
+    np.testing.assert_array_equal(on_grid(whole(values), photo, 1, window)[0], values[2:10, :12])
+
+
+@pytest.mark.parametrize(
+    ("size", "message"), [((192, 256), "192x256, its photo 1440x1080; one of them is turned"), ((400, 60), "400x60")]
+)
+def test_maps_of_another_view_are_refused(size, message):
+    with pytest.raises(InputError, match=f"a.png: depth map is {message}"):
+        window_of("a.png", size, frame(1440, 1080), None)
+
+
+@pytest.fixture
+def listed(tmp_path):
+    """Two photos of 96x64 whose transforms.json lists depth of 48x32, of 1,500 units each."""
+    frames = []
+    for n in range(3):
+        for folder, pixels in (("images", np.uint8(np.random.default_rng(n).integers(0, 256, (64, 96, 3)))),
+                               ("lidar", np.full((32, 48), 1500, np.uint16))):  # fmt: skip
+            (tmp_path / folder).mkdir(exist_ok=True)
+            Image.fromarray(pixels).save(tmp_path / folder / f"{n}.png")
+        pose = np.eye(4)
+        pose[0, 3] = 0.5 * n
+        frames.append(
+            {"file_path": f"images/{n}.png", "depth_file_path": f"lidar/{n}.png", "transform_matrix": pose.tolist()}
+        )
+    meta = {"w": 96, "h": 64, "fl_x": 90, "fl_y": 90, "cx": 48, "cy": 32, "frames": frames}
+
+    def write(**root):
+        (tmp_path / "transforms.json").write_text(json.dumps({**meta, **root}))
+        return tmp_path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("root", "unit", "metres", "named"),
+    [
+        ({}, None, 1.5, "in mm"),
+        ({"depth_unit_scale_factor": 0.001}, None, 1.5, "in mm"),
+        ({"depth_unit_scale_factor": 1 / 256}, None, 1500 / 256, "in units of 0.00390625 m"),
+        ({"depth_unit_scale_factor": 1 / 256}, "cm", 15.0, "in cm"),
+    ],
+)
+def test_maps_that_transforms_lists_are_read_in_its_unit(listed, root, unit, metres, named):
+    scene = load_scene(listed(**root), hold_out="none")
+    measured = measured_depth(scene, Supervision(depth="auto", depth_unit=unit))
+    assert measured is not None and f"of 3 of 3 photos, {named}; no points tell the scale" in measured.line
+    for depth, trust in measured.depths(2):
+        np.testing.assert_allclose(depth, scene.similarity.length_to_local(metres), rtol=1e-5)
+        assert (trust == 255).all()
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("gone", "lidar/0.png: no such depth map, nor another that the data set lists"),
+        ("zero", "lidar: its maps are listed with a depth_unit_scale_factor that is no number above 0"),
+        ("K", "depth.json: intrinsics are no matrix fx, 0, cx; 0, fy, cy; 0, 0, 1 of pixels"),
+    ],
+)
+def test_listed_maps_that_cannot_serve_are_one_line(listed, fault, message):
+    root = listed(**({"depth_unit_scale_factor": 0} if fault == "zero" else {}))
+    if fault == "gone":
+        for file in (root / "lidar").iterdir():
+            file.unlink()
+    if fault == "K":
+        (root / "lidar/depth.json").write_text('{"intrinsics": [[0, 0, 1], [0, 1, 1], [0, 0, 1]]}')
+    with pytest.raises(InputError, match=message) as caught:
+        measured_depth(load_scene(root, hold_out="none"), Supervision(depth="auto"))
+    assert "\n" not in str(caught.value)

@@ -1,7 +1,8 @@
-"""What `gsjax --version` and `gsjax doctor` say of an installation, sound and broken."""
+"""Libraries that are missing or broken, and what `gsjax --version` and `gsjax doctor` say of an installation."""
 
 import json
 import re
+import subprocess
 import sys
 import tomllib
 from importlib import metadata
@@ -12,7 +13,7 @@ import pytest
 from gsjax import cli
 from gsjax.io import installation
 from gsjax.io.installation import Finding, check_libraries
-from gsjax.io.packages import EXTRAS
+from gsjax.io.packages import EXTRAS, MissingPackageError, require
 
 PROJECT = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())["project"]
 pytestmark = pytest.mark.usefixtures("own_environment")
@@ -85,3 +86,60 @@ def test_the_doctor_s_code_and_json_say_whether_all_is_well(is_fine, code, monke
     assert cli.main(["doctor", "--json"]) == code
     report = json.loads(capsys.readouterr().out)
     assert report["is_well"] == is_fine and report["findings"][0]["name"] == "disk"
+
+
+@pytest.mark.parametrize(
+    ("fault", "command"),
+    [
+        ("raise ModuleNotFoundError('no such module')", r"pip install 'gsjax\[mesh\]'"),
+        ("raise ImportError('libusb-1.0.so.0: cannot open\\nmore')", "sudo apt-get install libusb-1.0-0 libgl1"),
+        ("raise OSError('libusb-1.0.so.0: cannot open')", "sudo apt-get install libusb-1.0-0 libgl1"),
+    ],
+)
+def test_what_is_missing_is_one_line_with_the_command_that_installs_it(tmp_path, monkeypatch, fault, command):
+    (tmp_path / "open3d.py").write_text(fault)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    with pytest.raises(MissingPackageError) as error:
+        require("open3d")
+    assert re.fullmatch(rf"cannot load open3d \(.*\); install it with: {command}.*", str(error.value))
+
+
+def test_sigterm_keeps_the_handler_of_the_program():
+    """pycolmap's log takes SIGTERM for itself; in a process of its own, for it does so once."""
+    program = """
+import signal, sys
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
+from gsjax.io.packages import require
+require("pycolmap")
+signal.raise_signal(signal.SIGTERM)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (7, "")
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_waits_until_a_package_is_loaded(tmp_path, name):
+    """A compiled module would turn the exception of the handler into an ImportError, as this one does."""
+    (tmp_path / "open3d.py").write_text(f"""
+import signal
+try:
+    signal.raise_signal(signal.{name})
+    loaded = True
+except BaseException:
+    raise ImportError("initialization failed") from None
+""")
+    program = f"""
+import signal, sys
+sys.path.insert(0, {str(tmp_path)!r})
+from gsjax.cli.stopping import Stopping
+from gsjax.io.packages import require
+with Stopping() as stopping:
+    try:
+        require("open3d")
+    except BaseException as stop:
+        print(type(stop).__name__, sys.modules["open3d"].loaded, stopping.signal.name)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    raised = {"SIGINT": "KeyboardInterrupt", "SIGTERM": "SystemExit"}[name]
+    assert (ended.stdout.strip(), ended.stderr) == (f"{raised} True {name}", "")
