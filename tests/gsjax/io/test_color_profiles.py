@@ -61,18 +61,21 @@ def psnr(colors, srgb):
     return -10 * np.log10(np.mean((colors / 255.0 - srgb) ** 2))
 
 
-@pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.webp", "a.heic", "a.avif"])
-def test_photos_of_every_format_are_converted_by_their_profile(tmp_path, space, name):
+@pytest.mark.parametrize(
+    ("name", "space", "how"),
+    [
+        ("a.png", "p3", {}),
+        ("a.tif", "adobe", {}),
+        ("a.webp", "bt2020", {"lossless": True}),
+        ("a.jpg", "p3", {"subsampling": 0}),
+        ("a.avif", "adobe", {"subsampling": "4:4:4"}),
+        ("a.heic", "bt2020", {"chroma": 444}),
+    ],
+)
+def test_photos_of_every_format_are_converted_by_their_profile(tmp_path, name, space, how):
     if name == "a.heic":
         pytest.importorskip("pillow_heif").register_heif_opener()
     picture = Image.fromarray(encoded(lively(), space))
-    how = {
-        "a.webp": {"lossless": True},
-        "a.jpg": {"subsampling": 0},
-        "a.avif": {"subsampling": "4:4:4"},
-        "a.heic": {"chroma": 444},
-    }.get(name, {})
     picture.save(tmp_path / name, quality=100, icc_profile=profile(space), **how)
     assert psnr(read_image(tmp_path / name)[0], lively()) > (36 if name in LOSSY else 46)
     assert psnr(np.asarray(picture), lively()) < 32, "without the profile these are other colours"
@@ -89,10 +92,9 @@ def test_alpha_and_palettes_are_converted_too(tmp_path):
     assert np.array_equal(read_image(tmp_path / "p.png")[0], read_image(tmp_path / "rgb.png")[0])
 
 
-@pytest.mark.parametrize("space", SPACES)
-def test_files_of_one_shot_in_two_color_spaces_show_the_same_shot(tmp_path, space):
+def test_files_of_one_shot_in_two_color_spaces_show_the_same_shot(tmp_path):
     for name, srgb in (("a", lively(64)), ("b", lively(64)[::-1])):
-        Image.fromarray(encoded(srgb, space)).save(tmp_path / f"{name}.jpg", quality=90, icc_profile=profile(space))
+        Image.fromarray(encoded(srgb, "adobe")).save(tmp_path / f"{name}.jpg", quality=90, icc_profile=profile("adobe"))
         Image.fromarray(np.rint(255 * srgb).astype(np.uint8)).save(tmp_path / f"{name}.png")
     assert group_duplicates(sorted(tmp_path.iterdir())) == [[0, 1], [2, 3]]
 

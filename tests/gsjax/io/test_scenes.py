@@ -211,17 +211,6 @@ def test_distortion_removal_passes_masks_and_marks_what_it_must(colmap_scene):
     assert (row[first_valid:] == 255).all()
 
 
-def test_missing_images_are_all_counted_and_five_named(colmap_scene):
-    root = colmap_scene(count=12)
-    for i in range(1, 9):
-        (root / f"images/{i:03d}.png").unlink()
-    with pytest.raises(InputError) as error:
-        load_scene(root)
-    counted = "8 of 12 photos cannot be used, and 6 are needed"
-    named = "001.png, 002.png, 003.png, 004.png, 005.png and 3 more"
-    assert str(error.value) == f"{root / 'images/001.png'}: no such image; {counted}: {named}"
-
-
 @pytest.mark.parametrize(("share", "suffix"), [(0.0, ".png"), (0.5, ".png"), (0.02, ".jpg"), (0.99, ".jpg")])
 def test_truncated_images_are_left_out_and_named(colmap_scene, share, suffix, capsys):
     root = colmap_scene()
