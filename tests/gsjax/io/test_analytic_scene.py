@@ -50,15 +50,6 @@ def test_the_records_that_are_read_hold_what_their_fields_state(folder):
         check_fields(record)
 
 
-def test_unprojected_depth_lies_on_the_surface(folder, cameras):
-    for index, camera in enumerate(cameras):
-        depth = np.load(folder / f"depth/{index:03d}.npz")["depth"]
-        pose = np.asarray(camera.viewmat)
-        points = (np.asarray(unproject(jnp.asarray(depth), camera)) - pose[:3, 3])[depth > 0] @ pose[:3, :3]
-        padded = np.resize(points, (depth.size, 3))  # one shape, one compilation
-        assert np.abs(SDF(padded)).max() < 1e-4
-
-
 def test_the_model_holds_the_true_cameras_and_consistent_tracks(folder, cameras):
     model = pycolmap.Reconstruction(folder / "sparse/0")
     assert sorted(image.name for image in model.images.values()) == [f"{i:03d}.png" for i in range(VIEWS)]

@@ -18,6 +18,7 @@ from gsjax.io.sfm.gps import Fix
 from gsjax.io.sfm.gravity import MAKER_NOTE, up_by_gravity
 
 COUNT = 40
+TURN = Rotation.from_rotvec([1.0, 2.0, 0.5])  # of a model's own world
 MUNICH, SANTIAGO, FIJI = (48.1, 11.5, 520.0), (-33.45, -70.66, 570.0), (-17.8, 179.9999, 5.0)
 EARTH = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84)
 
@@ -43,8 +44,7 @@ def sexagesimal(degrees):
 
 def fix_of(folder, *place, **changed):
     write_photo(folder / "a.jpg", *place, **changed)
-    write_photo(folder / "b.jpg", *place, **changed)
-    return source_photos.list_source_photos(folder)[0].fix
+    return source_photos.read_source_photo(folder / "a.jpg", "a.jpg").fix
 
 
 @pytest.mark.parametrize("place", [MUNICH, SANTIAGO, FIJI, (31.5, 35.5, -430.0)])
@@ -74,7 +74,7 @@ def flight(around, noise, path="ring", roll=2.0, seed=0):
         "line": np.c_[40 * np.cos(turn), 20 * np.cos(turn), 0 * turn],
         "spot": np.zeros((COUNT, 3)),
     }[path]
-    rotation, viewmats = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix(), []
+    rotation, viewmats = TURN.as_matrix(), []
     for place in places:
         forward = rng.normal(size=3) * [1, 1, 0.3] if path == "spot" else rng.normal(size=3) - place - [0, 0, 15]
         forward /= np.linalg.norm(forward)
@@ -91,13 +91,12 @@ def flight(around, noise, path="ring", roll=2.0, seed=0):
 def errors(viewmats, place, places):
     """Degrees of tilt, and the largest distance from the true places in shares of their extent."""
     positions = place.points_to_world(-np.einsum("vji,vj->vi", viewmats[:, :, :3], viewmats[:, :, 3]))
-    turn = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix()
-    up = np.array(place.rotation) @ turn @ [0, 0, 1.0]
+    up = np.array(place.rotation) @ TURN.apply([0, 0, 1.0])
     off = positions - positions.mean(0) - places + places.mean(0)
     return np.degrees(np.arccos(min(up[2], 1.0))), np.linalg.norm(off, axis=1).max() / np.ptp(places, axis=0).max()
 
 
-@pytest.mark.parametrize("around", [MUNICH, SANTIAGO, FIJI])
+@pytest.mark.parametrize("around", [SANTIAGO, FIJI])
 def test_a_flight_comes_out_level_and_true_to_scale(around):
     viewmats, fixes, places = flight(around, noise=0.3)
     solution = georeference(viewmats, fixes)
@@ -135,16 +134,20 @@ def test_gps_that_tells_no_scale_is_not_followed(path, num_fixes, message):
     assert not solution.place.is_known and message in solution.summary
 
 
-def test_a_model_is_brought_to_its_place_with_its_points(tmp_path):
-    viewmats, fixes, places = flight(SANTIAGO, noise=0.0)
+def model_of(viewmats, point):
+    """A model of these poses with one point, and the number of the point."""
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(pycolmap.Camera.create_from_model_name(1, "PINHOLE", 30, 40, 20))
     for number, pose in enumerate(viewmats, start=1):
         image = pycolmap.Image(name=f"{number}.jpg", camera_id=1, image_id=number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    return model, model.add_point3D(point, pycolmap.Track(), np.zeros(3, np.uint8))
+
+
+def test_a_model_is_brought_to_its_place_with_its_points(tmp_path):
+    viewmats, fixes, places = flight(SANTIAGO, noise=0.0)
     beacon = np.array([3.0, -4.0, 2.0])
-    turn = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix()
-    point = model.add_point3D((turn @ beacon + [1, 2, 3]) / 7.3, pycolmap.Track(), np.zeros(3, np.uint8))
+    model, point = model_of(viewmats, (TURN.apply(beacon) + [1, 2, 3]) / 7.3)
     placement = place_model(model, [SimpleNamespace(fix=fix, to_upright=0, gravity=None) for fix in fixes])
     origin = EARTH.ellipsoid_to_enu(np.array([placement.place.origin]), *SANTIAGO)[0]
     np.testing.assert_allclose(model.point3D(point).xyz + origin, beacon, atol=1e-3)
@@ -222,10 +225,9 @@ def test_what_does_not_tell_it_says_nothing(tmp_path, tags):
 
 def poses(count, tilted=3.0):
     """Cameras about a world of its own turn, what each noted of down, and the direction up in that world."""
-    turn = Rotation.from_rotvec([1.0, 2.0, 0.5])
     rotations = Rotation.from_euler("zxy", RNG.uniform(-40, 40, (count, 3)), degrees=True)
-    viewmats = np.concatenate([(rotations * turn).as_matrix(), RNG.normal(size=(count, 3, 1))], axis=2)
-    up = turn.inv().apply([0, -1.0, 0])
+    viewmats = np.concatenate([(rotations * TURN).as_matrix(), RNG.normal(size=(count, 3, 1))], axis=2)
+    up = TURN.inv().apply([0, -1.0, 0])
     noise = Rotation.from_rotvec(np.radians(tilted) * RNG.normal(size=(count, 3)))
     return viewmats, [tuple(down) for down in noise.apply(-viewmats[:, :, :3] @ up)], up
 
@@ -241,12 +243,7 @@ def test_most_photos_decide_and_the_error_is_told():
 
 def test_without_gps_a_model_is_turned_upright_and_its_folder_says_so(tmp_path):
     viewmats, downs, up = poses(12, tilted=0.0)
-    model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(pycolmap.Camera.create_from_model_name(1, "PINHOLE", 30, 40, 20))
-    for number, pose in enumerate(viewmats, start=1):
-        image = pycolmap.Image(name=f"{number}.jpg", camera_id=1, image_id=number)
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
-    point = model.add_point3D(5 * up, pycolmap.Track(), np.zeros(3, np.uint8))
+    model, point = model_of(viewmats, 5 * up)
     placement = place_model(model, [SimpleNamespace(fix=None, to_upright=0, gravity=down) for down in downs])
     np.testing.assert_allclose(model.point3D(point).xyz, [0, 0, 5], atol=1e-6)
     assert placement.summary.endswith("`gsjax scale` sets it; upright by the gravity that 12 photos noted")

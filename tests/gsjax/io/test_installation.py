@@ -7,6 +7,7 @@ import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -34,9 +35,8 @@ def test_the_version_is_told_without_loading_jax(capsys, monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     monkeypatch.setitem(sys.modules, "jax", None)  # Whoever imports it now fails.
     assert cli.main(["--version"]) == 0
-    line = capsys.readouterr().out
     expected = f"gsjax {PROJECT['version']}, jax {metadata.version('jax')}, native rasterizer on the CPU\n"
-    assert line == expected
+    assert capsys.readouterr().out == expected
 
 
 def test_bounds_are_those_of_the_project_or_of_what_was_installed(monkeypatch):
@@ -48,25 +48,15 @@ def test_bounds_are_those_of_the_project_or_of_what_was_installed(monkeypatch):
     assert installation.requirements() == ["numpy>=2.2", "open3d>=0.20"]
 
 
-def test_each_package_of_an_extra_is_listed_there_and_may_be_absent(needs, monkeypatch):
-    for module, extra in EXTRAS.items():
-        (name,) = {package for package, other in installation.MODULES.items() if other == module} or {module}
-        lines = PROJECT["optional-dependencies"][extra]
-        assert any(re.match(rf"{name}\b", line) for line in lines), f"{name} is not in the extra {extra}"
-
-    def absent(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "version", absent)
+def test_a_package_of_an_extra_may_be_absent(needs, monkeypatch):
+    monkeypatch.setattr(metadata, "version", Mock(side_effect=metadata.PackageNotFoundError("open3d")))
     finding = needs("open3d>=0.20")["open3d"]
     assert finding.is_fine and finding.result == "is not installed; the extra mesh has it"
 
 
 def test_a_library_is_absent_or_too_old_or_does_not_load_or_is_fine(needs, tmp_path, monkeypatch):
     (tmp_path / "broken_one-1.0.dist-info").mkdir()
-    (tmp_path / "broken_one-1.0.dist-info/METADATA").write_text(
-        "Metadata-Version: 2.1\nName: broken-one\nVersion: 1.0\n"
-    )
+    (tmp_path / "broken_one-1.0.dist-info/METADATA").write_text("Name: broken-one\nVersion: 1.0\n")
     (tmp_path / "broken-one.py").write_text("raise OSError('libGL.so.1: cannot open shared object file')\n")
     monkeypatch.syspath_prepend(tmp_path)
     findings = needs("numpy>=2.2", "scipy>=99", "not-there>=1", "broken-one")
