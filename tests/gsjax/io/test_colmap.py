@@ -140,7 +140,7 @@ def test_of_several_models_the_largest_is_taken_and_told(colmap_scene, capsys):
     for file in large.glob("*.bin"):
         file.unlink()
     assert find_model(root) == large
-    shutil.rmtree(root / "sparse/0")
+    (root / "sparse/0/images.bin").write_bytes(b"\xff" * 8)  # promises more than it holds
     assert find_model(root) == large
 
 
@@ -163,13 +163,6 @@ def test_names_of_numbers_are_no_keypoints(colmap_scene):
     assert [frame.name for frame in load_scene(root).frames] == [f"{number} 1 2" for number in range(4)]
 
 
-def test_a_model_that_promises_more_than_it_holds_is_not_the_largest(colmap_scene):
-    root = colmap_scene(count=3)
-    shutil.copytree(root / "sparse/0", root / "sparse/1")
-    (root / "sparse/1/images.bin").write_bytes(b"\xff" * 8)
-    assert find_model(root) == root / "sparse/0"
-
-
 @pytest.mark.parametrize("text", [True, False])
 @pytest.mark.parametrize("is_same", [True, False])
 def test_two_cameras_of_one_id_are_refused_unless_they_are_the_same(colmap_scene, text, is_same):
@@ -177,10 +170,8 @@ def test_two_cameras_of_one_id_are_refused_unless_they_are_the_same(colmap_scene
     file = root / "sparse/0" / ("cameras.txt" if text else "cameras.bin")
     whole = file.read_bytes()
     if text:
-        line = whole.splitlines()[-1]
-        file.write_bytes(whole + (line if is_same else line + b"9") + b"\n")
+        file.write_bytes(whole + whole.splitlines()[-1] + (b"\n" if is_same else b"9\n"))
     else:
-        assert whole[:8] == struct.pack("<Q", 1)
         file.write_bytes(struct.pack("<Q", 2) + whole[8:] + (whole[8:] if is_same else whole[8:-1] + b"\x41"))
     if is_same:
         assert len(load_scene(root).frames) == 3
@@ -212,13 +203,9 @@ def test_a_model_that_was_cut_by_a_full_disk_is_told(colmap_scene, tmp_path, nam
         write_whole(OnAFullDisk(model, name, share), tmp_path / "out")
     write_whole(model, tmp_path / "out")
     assert len(read_model(tmp_path / "out").images) == 10
-
-
-def test_a_folder_that_cannot_be_written_is_told(colmap_scene, tmp_path):
-    model = pycolmap.Reconstruction(colmap_scene() / "sparse/0")
-    (tmp_path / "out/points3D.bin").mkdir(parents=True)
-    with pytest.raises(InputError, match="cannot write .*out"):
-        write_whole(model, tmp_path / "out")
+    (tmp_path / "not/points3D.bin").mkdir(parents=True)
+    with pytest.raises(InputError, match="cannot write .*not"):
+        write_whole(model, tmp_path / "not")
 
 
 def edit_images(root, change):
@@ -266,20 +253,6 @@ def test_quaternions_of_any_length_turn_and_do_not_shear(colmap_scene, quat):
 def test_faults_of_images_are_named(colmap_scene, old, new, message):
     root = edit_images(colmap_scene(text=True), lambda lines: [line.replace(old, new, 1) for line in lines])
     with pytest.raises(InputError, match=message):
-        load_scene(root)
-
-
-@pytest.mark.parametrize(
-    ("model", "params", "text"),
-    [
-        ("PINHOLE", (30, 0, 20, 15), True),
-        ("PINHOLE", (30, -31, 20, 15), False),
-        ("SIMPLE_RADIAL", (0, 20, 15, 0), True),
-    ],
-)
-def test_focal_lengths_that_are_not_positive_are_refused(colmap_scene, model, params, text):
-    root = colmap_scene(model=model, params=params, text=text)
-    with pytest.raises(InputError, match=r"cameras.(txt|bin): camera 1 \(.*has a focal length that is not positive"):
         load_scene(root)
 
 
@@ -336,9 +309,3 @@ def test_names_in_latin1_are_found_by_their_bytes_or_as_unicode(colmap_scene, te
     frames = load_scene(root).frames
     assert [f.name for f in frames] == [f"üé{i}.png" for i in range(4)]
     assert [frame.pixels().image.shape for frame in frames] == [(30, 40, 3)] * 4
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_a_single_image_is_refused(colmap_scene, count):
-    with pytest.raises(InputError, match=f"{count} posed image in it"):
-        load_scene(colmap_scene(count=count))

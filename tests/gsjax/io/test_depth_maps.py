@@ -51,13 +51,9 @@ def test_pngs_and_arrays_are_read_in_their_unit_with_their_confidence(tmp_path):
     depth, trust = maps.read["b.jpg"]()
     np.testing.assert_array_equal(depth, RAMP)
     np.testing.assert_array_equal(trust, levels)
-
-
-def test_arkits_levels_are_nothing_half_and_all(tmp_path):
-    write_png(tmp_path / "depth/a.png", RAMP)
-    write_png(tmp_path / "confidence/a.png", (np.arange(WIDTH * HEIGHT) % 3).reshape(HEIGHT, WIDTH).astype(np.uint8))
-    _, trust = opened(tmp_path).read["a.jpg"]()
-    np.testing.assert_array_equal(trust.reshape(-1)[:6], [0, 127, 255] * 2)
+    # ARKit's levels are nothing, half and all.
+    write_png(tmp_path / "confidence/b.png", (np.arange(WIDTH * HEIGHT) % 3).reshape(HEIGHT, WIDTH).astype(np.uint8))
+    np.testing.assert_array_equal(opened(tmp_path).read["b.jpg"]()[1].reshape(-1)[:6], [0, 127, 255] * 2)
 
 
 def test_zero_and_what_is_not_finite_is_unknown_without_confidence(tmp_path):

@@ -40,6 +40,10 @@ def test_the_version_is_told_without_loading_jax(capsys, monkeypatch):
 
 
 def test_bounds_are_those_of_the_project_or_of_what_was_installed(monkeypatch):
+    for module, extra in EXTRAS.items():
+        (name,) = {package for package, other in installation.MODULES.items() if other == module} or {module}
+        lines = PROJECT["optional-dependencies"][extra]
+        assert any(re.match(rf"{name}\b", line) for line in lines), f"{name} is not in the extra {extra}"
     of_extras = [line for extra in set(EXTRAS.values()) for line in PROJECT["optional-dependencies"][extra]]
     assert set(installation.requirements()) == {line.replace(" ", "") for line in PROJECT["dependencies"] + of_extras}
     monkeypatch.setattr(installation, "_project", lambda: None)

@@ -1,4 +1,3 @@
-import cv2
 import numpy as np
 import pycolmap
 import pytest
@@ -74,16 +73,6 @@ def test_every_model_becomes_the_pinhole_picture_of_the_same_directions(model):
         # coarse, and its seam is read half a pixel off.
         assert np.quantile(error, 0.99) < (0.06 if model == "EQUIRECTANGULAR" else 3e-3)
         assert view.width * view.height > 0.8 * WIDTH * HEIGHT or model == "EQUIRECTANGULAR"
-
-
-def test_opencv_map_is_the_one_of_opencv():
-    lens = lens_of("OPENCV")
-    (view,) = pinhole_views(lens)
-    fx, fy, cx, cy, *distortion = lens.params
-    K = np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])  # OpenCV counts pixel centres as whole numbers
-    target = view.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    x, y = cv2.initUndistortRectifyMap(K, np.array(distortion), None, target, (view.width, view.height), cv2.CV_32FC1)
-    np.testing.assert_allclose(view.source_xy - 0.5, np.stack([x, y], -1), atol=2e-4)
 
 
 def test_pinhole_and_undistorted_models_are_left_alone():

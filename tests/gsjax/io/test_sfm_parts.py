@@ -160,19 +160,19 @@ def test_masks_next_to_photos_are_no_photos(tmp_path, masks):
     assert mask_paths == {"a.jpg": tmp_path / masks[0], "day/b.png": tmp_path / masks[1]}
 
 
-@pytest.mark.parametrize("place", ["photos/masks", "photos/Mask", "masks", "inner"])
-def test_masks_are_masks_of_photos_and_no_photos(tmp_path, place):
-    """In the folder of photos, beside it, and where the folder given holds `images/` and `masks/`."""
-    names = ["a.png", "sub/a.png", "b.jpg"]
-    folder = tmp_path / ("photos/images" if place == "inner" else "images" if place == "masks" else "photos")
-    masks = tmp_path / ("photos/masks" if place == "inner" else place)
-    for name in names:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        photo(folder / name)
-    (masks / "sub").mkdir(parents=True)
+@pytest.mark.parametrize(
+    ("root", "images", "masks"),
+    [(".", ".", "masks"), (".", ".", "Mask"), ("images", "images", "masks"), (".", "images", "masks")],
+)
+def test_masks_are_masks_of_photos_and_no_photos(tmp_path, root, images, masks):
+    """In the folder of photos, next to it, and where the folder given holds `images/` and `masks/`."""
+    for folder in (images, masks):
+        (tmp_path / folder / "sub").mkdir(parents=True)
+    for name in ("a.png", "sub/a.png", "b.jpg"):
+        photo(tmp_path / images / name)
     for name in ("a.png", "sub/a.png", "b.jpg.png"):
-        Image.fromarray(np.full((20, 40), 100 + len(name), np.uint8)).save(masks / name)
-    shots = source_photos.list_source_photos(tmp_path / "photos" if place == "inner" else folder)
+        Image.fromarray(np.full((20, 40), 100 + len(name), np.uint8)).save(tmp_path / masks / name)
+    shots = source_photos.list_source_photos(tmp_path / root)
     assert [shot.name for shot in shots] == ["a.png", "b.jpg", "sub/a.png"]
     assert [int(shot.read_mask()[0, 0]) for shot in shots] == [105, 109, 109]
 
@@ -222,11 +222,9 @@ def test_photos_of_every_format_are_found_and_other_files_named(tmp_path):
     for name in (".DS_Store", ".hidden/x.jpg", "notes", "raw/IMG_1.CR2", "clip.mov"):
         (tmp_path / name).write_bytes(b"x")
     assert [shot.name for shot in source_photos.list_source_photos(tmp_path)] == names
-    assert source_photos.unused_files(tmp_path) == {
-        "clip.mov": ".mov is no format of photos that is read",
-        "notes": "no ending is no format of photos that is read",
-        "raw/IMG_1.CR2": ".cr2 is no format of photos that is read",
-    }
+    unused = {"clip.mov": ".mov", "notes": "no ending", "raw/IMG_1.CR2": ".cr2"}
+    expected = {name: f"{ending} is no format of photos that is read" for name, ending in unused.items()}
+    assert source_photos.unused_files(tmp_path) == expected
 
 
 def test_what_was_made_of_photos_is_not_taken_for_more_of_them(tmp_path):
