@@ -85,14 +85,29 @@ def test_a_file_larger_than_memory_is_refused_before_it_is_read(tmp_path):
         files.read_bytes(tmp_path / "huge.ply")
 
 
-def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
-    killed = (
-        "import os, sys\nfrom gsjax.io.files import atomic_path\n"
-        "with atomic_path(sys.argv[1]) as temporary:\n    temporary.write_text('half')\n    os._exit(9)"
-    )
-    target = tmp_path / "a/step_0000001.npz"
+def kill_writer(target, function, half):
+    """Begins to write a file or a folder in a process that ends at once."""
+    killed = f"import os, sys\nfrom gsjax.io.files import {function}\nwith {function}(sys.argv[1]) as path:\n"
+    killed += f"    {half}.write_text('half')\n    os._exit(9)"
     assert subprocess.run([sys.executable, "-c", killed, str(target)]).returncode == 9
     assert not target.exists()
+
+
+def test_the_folder_of_a_killed_writer_goes_when_the_next_one_begins(tmp_path):
+    for name in ("scene", "other"):
+        kill_writer(tmp_path / name, "workspace", "(path / 'half')")
+    (tmp_path / ".scene-0123abcd").mkdir()
+    assert len(os.listdir(tmp_path)) == 3
+    with files.atomic_folder(tmp_path / "scene") as folder:
+        (folder / "whole").write_text("whole")
+    entries = sorted(os.listdir(tmp_path))
+    assert entries[0].startswith(".other.gsjax-"), "may be of a writer on another machine"
+    assert entries[1:] == [".scene-0123abcd", "scene"] and os.listdir(tmp_path / "scene") == ["whole"]
+
+
+def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
+    target = tmp_path / "a/step_0000001.npz"
+    kill_writer(target, "atomic_path", "path")
     mine = [".hidden-file", ".notes-0123abcd.npz", "step-0123abcd.npz", "step.gsjax-1-0123abcd.npz"]
     for name in mine:
         (tmp_path / name).write_text("the user's")
@@ -103,22 +118,6 @@ def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
         assert os.listdir(target.parent) == [living.name], "of a process that lives"
     assert os.listdir(target.parent) == [target.name]
     assert sorted(os.listdir(tmp_path)) == [mine[0], mine[1], "a", *mine[2:]]
-
-
-def test_the_folder_of_a_killed_writer_goes_when_the_next_one_begins(tmp_path):
-    killed = (
-        "import os, sys\nfrom gsjax.io.files import workspace\n"
-        "with workspace(sys.argv[1]) as folder:\n    (folder / 'half').write_text('half')\n    os._exit(9)"
-    )
-    for name in ("scene", "other"):
-        assert subprocess.run([sys.executable, "-c", killed, str(tmp_path / name)]).returncode == 9
-    (tmp_path / ".scene-0123abcd").mkdir()
-    assert len(os.listdir(tmp_path)) == 3
-    with files.atomic_folder(tmp_path / "scene") as folder:
-        (folder / "whole").write_text("whole")
-    entries = sorted(os.listdir(tmp_path))
-    assert entries[0].startswith(".other.gsjax-"), "may be of a writer on another machine"
-    assert entries[1:] == [".scene-0123abcd", "scene"] and os.listdir(tmp_path / "scene") == ["whole"]
 
 
 def test_a_folder_that_stays_empty_goes_with_the_parents_made_for_it(tmp_path):

@@ -75,13 +75,6 @@ def test_every_model_becomes_the_pinhole_picture_of_the_same_directions(model):
         assert view.width * view.height > 0.8 * WIDTH * HEIGHT or model == "EQUIRECTANGULAR"
 
 
-def test_pinhole_and_undistorted_models_are_left_alone():
-    for lens in (lens_of("PINHOLE"), Lens("SIMPLE_RADIAL", WIDTH, HEIGHT, (110.0, *CENTER, 0.0))):
-        (view,) = pinhole_views(lens)
-        assert view.source_xy is None and view.valid is None
-        np.testing.assert_allclose(view.K[:2, 2], CENTER)
-
-
 @pytest.mark.parametrize("size", [(WIDTH // 2, HEIGHT // 2), (41, 29)])
 @pytest.mark.parametrize("model", [n for n in pycolmap.CameraModelId.__members__ if n != "INVALID"])
 def test_a_resized_lens_records_every_ray_at_the_resized_place(model, size):

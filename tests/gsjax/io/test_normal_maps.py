@@ -55,24 +55,6 @@ def test_every_format_gives_the_same_map(tmp_path, kind):
     np.testing.assert_allclose(np.linalg.norm(loaded, axis=-1), 1, atol=1e-6)
 
 
-@pytest.mark.parametrize("size", [(6, 4), (25, 17)])
-def test_maps_are_resized_and_stay_unit(tmp_path, size):
-    np.save(tmp_path / "001.npy", smooth_normals(*size))
-    loaded = load_normals(tmp_path, frames())[NAME]
-    assert loaded.shape == (8, 12, 3)
-    np.testing.assert_allclose(np.linalg.norm(loaded, axis=-1), 1, atol=1e-6)
-    # Resized pixel centres lie up to a fifth of the frame inside the sphere's sampled range: compare directions.
-    x, y = (np.arange(12) + 0.5) / 12, (np.arange(8) + 0.5) / 8
-    sampled = cv2.remap(
-        smooth_normals(*size),
-        *[m.astype(np.float32) for m in np.meshgrid(x * size[0] - 0.5, y * size[1] - 0.5)],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    cosine = (sampled * loaded).sum(-1) / np.linalg.norm(sampled, axis=-1)
-    assert cosine.min() > np.cos(np.radians(0.2))
-
-
 @pytest.mark.parametrize(("width", "level"), [(6, None), (24, None), (12, 0), (6, 127), (24, 128), (12, 255)])
 def test_nothing_stays_exactly_nothing(tmp_path, width, level):
     """Zeros of an array, and black, grey or white pixels."""

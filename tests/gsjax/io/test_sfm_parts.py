@@ -101,28 +101,28 @@ def test_matches_are_those_of_the_definition(monkeypatch):
     assert match(a, b[:1]).shape == match(a[:0], b).shape == (0, 2)
 
 
-def test_along_epipolar_lines_twins_elsewhere_do_no_harm():
-    rng = np.random.default_rng(0)
-    descriptors = rng.integers(0, 200, (20, 128)).astype(np.uint8)
-    xy = np.stack([np.full(20, 50.0), 20.0 * np.arange(20)], axis=-1)
-    a = Features(xy, descriptors)
-    b = Features(np.r_[xy + [9, 0], xy + [9, 300]], np.r_[descriptors, descriptors])  # twins 300 rows below
-    along_rows = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # F of a camera that moved to the side
+def with_twins(xy, moved, apart):
+    """Features in two photos, in the second of which each has a twin `apart`; without regions none is clear."""
+    descriptors = np.random.default_rng(0).integers(0, 200, (len(xy), 128)).astype(np.uint8)
+    a, b = Features(xy, descriptors), Features(np.r_[moved, moved + apart], np.r_[descriptors, descriptors])
     assert len(match(a.unit(), b.unit())) == 0
+    return a, b
+
+
+def test_along_epipolar_lines_twins_elsewhere_do_no_harm():
+    xy = np.stack([np.full(20, 50.0), 20.0 * np.arange(20)], axis=-1)
+    a, b = with_twins(xy, xy + [9, 0], [0, 300])
+    along_rows = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # F of a camera that moved to the side
     matches = match(a.unit(), b.unit(), epipolar_regions(a, b, along_rows))
     assert matches[:5].tolist() == [[i, i] for i in range(5)]  # of the others a twin lies on the line of another
 
 
 def test_where_one_plane_fills_both_photos_twins_along_the_line_do_no_harm_either():
     rng = np.random.default_rng(0)
-    descriptors = rng.integers(0, 200, (20, 128)).astype(np.uint8)
     xy = rng.uniform(0, 400, (20, 2))
     plane = np.array([[1.1, 0.1, 9], [-0.1, 0.9, 4], [1e-4, -2e-4, 1]])
     moved = np.c_[xy, np.ones(20)] @ plane.T
-    moved = moved[:, :2] / moved[:, 2:] + rng.uniform(-1, 1, (20, 2))
-    a = Features(xy, descriptors)
-    b = Features(np.r_[moved, moved + [300, 0]], np.r_[descriptors, descriptors])  # twins 300 columns beside
-    assert len(match(a.unit(), b.unit())) == 0
+    a, b = with_twins(xy, moved[:, :2] / moved[:, 2:] + rng.uniform(-1, 1, (20, 2)), [300, 0])
     matches = match(a.unit(), b.unit(), homography_regions(a, b, plane))
     assert matches.tolist() == [[i, i] for i in range(20)]
     back = match(b.unit(), a.unit(), homography_regions(b, a, np.linalg.inv(plane)))

@@ -39,7 +39,7 @@ def half_gaps(values, entries):
     return np.where(inside, (entries[place] - entries[place - 1]) / 2, beyond)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(gaussians=clouds)
 def test_sog_keeps_everything_to_its_steps(tmp_path_factory, gaussians):
     path = tmp_path_factory.mktemp("sog") / "g.sog"
