@@ -3,6 +3,7 @@
 import shutil
 from functools import partial
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -239,14 +240,8 @@ def fake_model(registered, points=100):
     ],
 )
 def test_mapping_runs_again_without_priors_where_less_than_half_register(tmp_path, monkeypatch, models, index, line):
-    outcomes, starts = [None if count is None else fake_model(count) for count in models], []
-
-    def map_photos(material, workspace, progress):
-        starts.append(material.cameras[0].has_prior_focal_length)
-        if outcomes[len(starts) - 1] is None:
-            raise InputError("no model found")
-        return outcomes[len(starts) - 1], {}
-
+    outcomes = [InputError("no model found") if count is None else (fake_model(count), {}) for count in models]
+    map_photos = Mock(side_effect=outcomes)
     monkeypatch.setattr(mapping, "map_photos", map_photos)
     for number in range(20):
         photo(tmp_path / f"{number:02d}.jpg", film=135)
@@ -254,9 +249,10 @@ def test_mapping_runs_again_without_priors_where_less_than_half_register(tmp_pat
     priors, _ = initial_cameras.focal_priors(shots)
     material = mapping.Material(shots, [], np.zeros((20, 20)), [])
     model, _, note = mapping.map_photos_with_priors(material, priors, tmp_path / "work", quietly)
+    starts = [call.args[0].cameras[0].has_prior_focal_length for call in map_photos.call_args_list]
     assert starts == [True, False][: len(models)]
-    assert model is outcomes[index]
+    assert model is outcomes[index][0]
     assert note.startswith(line) and bool(note) == bool(line)
+    map_photos.side_effect = InputError("no model found")
     with pytest.raises(InputError, match="no model found"):
-        outcomes[:], starts[:] = [None, None], []
         mapping.map_photos_with_priors(material, priors, tmp_path / "again", quietly)

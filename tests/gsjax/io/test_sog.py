@@ -77,6 +77,17 @@ def test_a_codebook_is_fine_where_the_values_are_and_a_far_value_costs_one_entry
     np.testing.assert_array_equal(entries[quantization.nearest_labels(few, entries)], few)
 
 
+def test_a_palette_finds_rows_that_come_again():
+    """Of 50 kinds of rows with a little noise every one is told apart by 600 of a palette."""
+    random = np.random.default_rng(1)
+    kinds, kind = random.normal(size=(50, 9)).astype(np.float32), random.integers(50, size=4000)
+    rows = kinds[kind] + random.normal(size=(4000, 9)).astype(np.float32) * np.float32(0.01)
+    palette, labels = quantization.palette(rows, 600)
+    assert len(palette) <= 600
+    assert np.abs(palette[labels] - rows).max() < 0.1
+    assert np.sqrt(np.mean((palette[labels] - rows) ** 2)) < 0.01
+
+
 def by_hand():
     """Two Gaussians by the document: at (0, e - 1, -3) and (1, 0, 0), the first turned by 60 degrees about x."""
     ln4 = float(np.log(4))
