@@ -26,32 +26,12 @@ def noise(*shape, dtype=np.uint8, seed=0):
     return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, shape, dtype=dtype, endpoint=True)
 
 
-def test_written_images_are_read_back_and_by_others_too(tmp_path):
-    colors, rgba = noise(5, 7, 3), noise(5, 7, 4)
-    write_image(tmp_path / "rgb.png", colors)
-    write_image(tmp_path / "rgba.png", rgba)
-    read, alpha = read_image(tmp_path / "rgb.png")
-    np.testing.assert_array_equal(read, colors)
-    assert alpha is None
-    read, alpha = read_image(tmp_path / "rgba.png")
-    np.testing.assert_array_equal(np.dstack([read, alpha]), rgba)
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "rgb.png"))[..., ::-1], colors)
-    assert image_size(tmp_path / "rgb.png") == (7, 5)
-    with pytest.raises(InputError, match="cannot write"):
-        write_image(tmp_path / "rgb.png/below.png", colors)
-
-
-def test_grey_deep_and_palette_images_become_eight_bit_colours(tmp_path):
+def test_deep_images_become_eight_bit_colours(tmp_path):
     deep = noise(6, 4, dtype=np.uint16)
     cv2.imwrite(str(tmp_path / "deep.png"), deep)
-    colors, _ = read_image(tmp_path / "deep.png")
+    colors, alpha = read_image(tmp_path / "deep.png")
     np.testing.assert_array_equal(colors, np.rint(deep / 257.0).astype(np.uint8)[..., None].repeat(3, -1))
-    grey = noise(6, 4)
-    cv2.imwrite(str(tmp_path / "grey.png"), grey)
-    np.testing.assert_array_equal(read_image(tmp_path / "grey.png")[0], grey[..., None].repeat(3, -1))
-    palette = Image.fromarray(grey // 64 * 64).convert("P")
-    palette.save(tmp_path / "palette.png")
-    np.testing.assert_array_equal(read_image(tmp_path / "palette.png")[0], np.asarray(palette.convert("RGB")))
+    assert alpha is None and image_size(tmp_path / "deep.png") == (4, 6)
 
 
 def test_masks_of_every_kind(tmp_path):

@@ -87,7 +87,6 @@ def test_the_doctor_s_code_and_json_say_whether_all_is_well(is_fine, code, monke
     [
         ("raise ModuleNotFoundError('no such module')", r"pip install 'gsjax\[mesh\]'"),
         ("raise ImportError('libusb-1.0.so.0: cannot open\\nmore')", "sudo apt-get install libusb-1.0-0 libgl1"),
-        ("raise OSError('libusb-1.0.so.0: cannot open')", "sudo apt-get install libusb-1.0-0 libgl1"),
     ],
 )
 def test_what_is_missing_is_one_line_with_the_command_that_installs_it(tmp_path, monkeypatch, fault, command):

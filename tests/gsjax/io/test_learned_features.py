@@ -155,9 +155,8 @@ def test_files_that_are_no_such_network_are_named_in_one_line(tmp_path, weights,
     graph = SmallGraph()
     graph.output(graph.affine(graph.input("x", (1, 3, 8, 8))), "y", shape=(1, 3, 8, 8))
     other = graph.save(tmp_path / "other.onnx")
-    for kind in SIDES:
-        assert f"text.onnx: no ONNX graph that OpenCV {cv2.__version__} loads" in refused(kind, text)
-        assert f"other.onnx: is no graph of {kind.upper()} as OpenCV" in refused(kind, other)
+    assert f"text.onnx: no ONNX graph that OpenCV {cv2.__version__} loads" in refused("aliked", text)
+    assert "other.onnx: is no graph of DISK as OpenCV" in refused("disk", other)
     assert "disk.onnx: is no graph of ALIKED" in refused("aliked", weights["disk"])
     assert "text.onnx: no ONNX graph" in refused("aliked", weights["aliked"], text)
     assert "other.onnx: is no graph of LightGlue" in refused("aliked", weights["aliked"], other)

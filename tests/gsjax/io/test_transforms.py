@@ -10,8 +10,6 @@ from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.io.transforms import read_transforms
 
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-
 
 def test_poses_put_the_target_on_the_axis_and_up_is_up(tmp_path):
     scene = load_scene(write(tmp_path, fl_x=50.0, fl_y=52.0, cx=21.0, cy=14.0, w=40, h=30))
