@@ -12,7 +12,6 @@ import gsjax
 from gsjax.analytic import solids
 from gsjax.io import analytic_scene
 from gsjax.scene.batches import decode
-from gsjax.scene.cameras import unproject
 
 VIEWS, SIZE = 9, (48, 40)  # as other tests have it, so that it is written once a session
 SDF = jax.jit(jax.vmap(solids.scene_sdf))

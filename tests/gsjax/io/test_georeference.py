@@ -160,9 +160,6 @@ def test_a_model_is_brought_to_its_place_with_its_points(tmp_path):
 
 RNG = np.random.default_rng(0)
 XMP = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description drone-dji:GimbalRollDegree="{:+.2f}" drone-dji:GimbalPitchDegree="{:+.2f}"/></x:xmpmeta>'  # noqa: E501
-# A phone held still: its axes are x right, y to its top, z out of the screen; the picture stands on EXIF's orientation.
-HOLDS = {"upright": (6, (0, -1, 0)), "top to the left": (1, (-1, 0, 0)), "top to the right": (3, (1, 0, 0)),
-         "upside down": (8, (0, 1, 0))}  # fmt: skip
 
 
 def apple_note(vector):
@@ -184,19 +181,24 @@ def noted(folder, *, note=None, xmp=None, orientation=1, lens=None):
     return source_photos.read_source_photo(folder / "a.jpg", "a.jpg").gravity
 
 
-@pytest.mark.parametrize("hold", HOLDS)
-def test_a_level_phone_has_down_at_the_lower_edge_however_it_is_held(tmp_path, hold):
-    orientation, vector = HOLDS[hold]
-    np.testing.assert_allclose(noted(tmp_path, note=apple_note(vector), orientation=orientation), [0, 1, 0], atol=1e-6)
+LOW, LEANING = np.radians([30, 10])
 
 
-def test_a_phone_that_looks_down_and_leans_says_so(tmp_path):
-    # Held upright, turned 30 degrees so that its back looks down: the screen's normal points up.
-    down = noted(tmp_path, note=apple_note((0, -np.cos(np.pi / 6), -np.sin(np.pi / 6))), orientation=6)
-    np.testing.assert_allclose(down, [0, np.cos(np.pi / 6), np.sin(np.pi / 6)], atol=1e-5)
-    # Its right side is lower by 10 degrees: down leans to the right edge of the picture.
-    leaning = noted(tmp_path, note=apple_note((np.sin(0.17), -np.cos(0.17), 0)), orientation=6)
-    np.testing.assert_allclose(leaning, [np.sin(0.17), np.cos(0.17), 0], atol=1e-5)
+@pytest.mark.parametrize(
+    ("orientation", "vector", "expected"),
+    [
+        (6, (0, -1, 0), (0, 1, 0)),  # upright
+        (1, (-1, 0, 0), (0, 1, 0)),  # its top to the left
+        (3, (1, 0, 0), (0, 1, 0)),  # to the right
+        (8, (0, 1, 0), (0, 1, 0)),  # upside down
+        (6, (0, -np.cos(LOW), -np.sin(LOW)), (0, np.cos(LOW), np.sin(LOW))),  # its back looks down, its screen up
+        (6, (np.sin(LEANING), -np.cos(LEANING), 0), (np.sin(LEANING), np.cos(LEANING), 0)),  # its right side is lower
+    ],
+)
+def test_a_phone_says_where_down_is_however_it_is_held(tmp_path, orientation, vector, expected):
+    """Its axes are x right, y to its top, z out of the screen; the picture stands on EXIF's orientation."""
+    down = noted(tmp_path, note=apple_note(vector), orientation=orientation)
+    np.testing.assert_allclose(down, expected, atol=1e-5)
 
 
 def test_a_gimbal_says_it_by_pitch_and_roll(tmp_path):

@@ -99,18 +99,6 @@ def test_a_resized_lens_records_every_ray_at_the_resized_place(model, size):
         assert smaller.model == model
 
 
-def test_bare_border_is_cut_and_the_principal_point_moves_with_it():
-    lens = Lens("SIMPLE_RADIAL", WIDTH, HEIGHT, (110.0, *CENTER, 0.1))  # corners of the target lie outside the photo
-    (view,) = pinhole_views(lens)
-    assert view.valid is None
-    assert view.width < WIDTH and view.height < HEIGHT
-    assert (view.source_xy >= 0).all() and (view.source_xy <= [WIDTH, HEIGHT]).all()
-    row, column = int(view.K[1, 2]), int(view.K[0, 2])
-    np.testing.assert_allclose(
-        view.source_xy[row, column], [column + 0.5, row + 0.5] + (CENTER - view.K[:2, 2]), atol=0.1
-    )
-
-
 def test_picture_beyond_the_fold_of_a_polynomial_is_not_valid():
     lens = Lens("SIMPLE_RADIAL", WIDTH, HEIGHT, (60.0, *CENTER, -0.5))
     (view,) = pinhole_views(lens)

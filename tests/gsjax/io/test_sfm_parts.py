@@ -258,8 +258,8 @@ def test_mattes_and_masks_are_published(tmp_path):
     mask[:, :20] = 0
     Image.fromarray(mask).save(photos / "masks/c.jpg.png")
     camera = pycolmap.Camera(camera_id=1, model="PINHOLE", width=40, height=20, params=[30.0, 30.0, 20.0, 10.0])
-    written = write_model(source_photos.list_source_photos(photos), tmp_path / "scene", camera)
-    frames = {frame.name: frame for frame in written}
+    published = write_model(source_photos.list_source_photos(photos), tmp_path / "scene", camera)
+    frames = {frame.name: frame for frame in published}
     assert sorted(frames) == ["a.png", "a.tif.png", "b.jpg", "c.jpg"]
     np.testing.assert_array_equal(frames["a.png"].pixels().image, np.rot90(rgba[..., :3], -1))
     np.testing.assert_array_equal(frames["a.png"].pixels().matte, np.rot90(rgba[..., 3], -1))
