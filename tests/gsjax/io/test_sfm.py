@@ -190,14 +190,16 @@ def test_another_digital_zoom_is_another_camera_and_none_is_none_however_it_is_w
     np.testing.assert_allclose(focals, [28] * 4 + [1.6 * 28], rtol=1e-3)
 
 
-def test_a_35_mm_equivalent_that_changes_with_the_zoom_includes_it(tmp_path):
-    """As phones write that note 45 for 28 mm zoomed by 1.6; and where no photo is without zoom."""
-    _, focals, _ = priors_of(tmp_path, {"film": 28, "zoom": 1.0}, {"film": 45, "zoom": 1.6}, {"film": 84, "zoom": 3.0})
-    np.testing.assert_allclose(focals, [28, 45, 84], rtol=1e-3)
-    only_zoomed = tmp_path / "zoomed"
-    only_zoomed.mkdir()
-    _, focals, _ = priors_of(only_zoomed, {"film": 28, "zoom": 2.0}, {"film": 28, "zoom": 1.6})
-    np.testing.assert_allclose(focals, [56, 44.8], rtol=1e-3)
+@pytest.mark.parametrize(
+    ("films", "zooms", "expected"),
+    [
+        ((28, 45, 84), (1.0, 1.6, 3.0), [28, 45, 84]),  # as phones write that note 45 for 28 mm zoomed by 1.6
+        ((28, 28), (2.0, 1.6), [56, 44.8]),  # No photo is without zoom.
+    ],
+)
+def test_a_35_mm_equivalent_that_changes_with_the_zoom_includes_it(tmp_path, films, zooms, expected):
+    _, focals, _ = priors_of(tmp_path, *({"film": film, "zoom": zoom} for film, zoom in zip(films, zooms, strict=True)))
+    np.testing.assert_allclose(focals, expected, rtol=1e-3)
 
 
 def test_where_no_photo_shows_it_an_iphone_includes_the_zoom_and_others_leave_it_unknown(tmp_path):

@@ -144,37 +144,23 @@ def test_photos_are_paired_with_the_likest_and_with_the_next_by_name(monkeypatch
 
 
 @pytest.mark.parametrize(
-    "masks",
+    ("root", "masks"),
     [
-        ["a.jpg.mask.png", "day/b.mask.png"],
-        ["masks/a_mask.png", "day/masks/b.png"],
-        ["mask/a.jpg.mask.png", "day/b.png_mask.png"],
+        (".", {"a.jpg": "a.jpg.mask.png", "day/b.png": "day/b.mask.png"}),
+        (".", {"a.jpg": "masks/a_mask.png", "day/b.png": "day/masks/b.png"}),
+        (".", {"a.jpg": "mask/a.jpg.mask.png", "day/b.png": "day/b.png_mask.png"}),
+        (".", {"a.png": "Mask/a.png", "sub/a.png": "Mask/sub/a.png", "b.jpg": "Mask/b.jpg.png"}),
+        ("images", {"images/a.png": "masks/a.png", "images/sub/a.png": "masks/sub/a.png"}),
+        (".", {"images/a.png": "masks/a.png", "images/sub/a.png": "masks/sub/a.png"}),
     ],
 )
-def test_masks_next_to_photos_are_no_photos(tmp_path, masks):
-    """As RealityScan and Metashape write them, and in folders next to photos of a subfolder."""
-    for name in ("a.jpg", "day/b.png", *masks):
+def test_masks_are_masks_of_photos_and_no_photos(tmp_path, root, masks):
+    """Next to photos, as RealityScan and Metashape write them, and in folders of them, in or next to the photos'."""
+    for name in (*masks, *masks.values()):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         photo(tmp_path / name)
-    mask_paths = {shot.name: shot.mask_path for shot in source_photos.list_source_photos(tmp_path)}
-    assert mask_paths == {"a.jpg": tmp_path / masks[0], "day/b.png": tmp_path / masks[1]}
-
-
-@pytest.mark.parametrize(
-    ("root", "images", "masks"),
-    [(".", ".", "masks"), (".", ".", "Mask"), ("images", "images", "masks"), (".", "images", "masks")],
-)
-def test_masks_are_masks_of_photos_and_no_photos(tmp_path, root, images, masks):
-    """In the folder of photos, next to it, and where the folder given holds `images/` and `masks/`."""
-    for folder in (images, masks):
-        (tmp_path / folder / "sub").mkdir(parents=True)
-    for name in ("a.png", "sub/a.png", "b.jpg"):
-        photo(tmp_path / images / name)
-    for name in ("a.png", "sub/a.png", "b.jpg.png"):
-        Image.fromarray(np.full((20, 40), 100 + len(name), np.uint8)).save(tmp_path / masks / name)
     shots = source_photos.list_source_photos(tmp_path / root)
-    assert [shot.name for shot in shots] == ["a.png", "b.jpg", "sub/a.png"]
-    assert [int(shot.read_mask()[0, 0]) for shot in shots] == [105, 109, 109]
+    assert {shot.path: shot.mask_path for shot in shots} == {tmp_path / a: tmp_path / b for a, b in masks.items()}
 
 
 def test_photos_that_are_damaged_or_whose_mask_is_are_left_out_and_named(tmp_path, capsys):
