@@ -6,24 +6,20 @@ import pytest
 import trimesh
 from PIL import Image
 from record_fields import check_fields
-from tqdm import tqdm
+from small_scenes import built_in
 
 import gsjax
 from gsjax.analytic import solids
 from gsjax.io import analytic_scene
 from gsjax.scene.batches import decode
-from gsjax.scene.cameras import unproject
 
-VIEWS, SIZE = 5, (36, 30)
+VIEWS, SIZE = 9, (48, 40)  # as other tests have it, so that it is written once a session
 SDF = jax.jit(jax.vmap(solids.scene_sdf))
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    def silent(**options):
-        return tqdm(disable=True, **options)
-
-    return analytic_scene.write(tmp_path_factory.mktemp("data") / "scene", num_views=VIEWS, size=SIZE, progress=silent)
+    return built_in(tmp_path_factory.mktemp("data") / "scene", num_views=VIEWS, size=SIZE)
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +28,7 @@ def cameras():
 
 
 def test_depth_normals_and_labels_are_those_of_a_new_trace(folder, cameras):
-    view = solids.trace(cameras[3])
+    view = solids.trace(cameras[3], samples=2)
     depth, normals = np.load(folder / "depth/003.npz"), np.load(folder / "normals/003.npz")
     assert (depth["depth"].dtype, depth["label"].dtype, normals["cam"].dtype) == (np.float32, np.uint8, np.float16)
     np.testing.assert_array_equal(depth["depth"], view.depth)
@@ -51,15 +47,6 @@ def test_the_records_that_are_read_hold_what_their_fields_state(folder):
     records = scene, scene.tracks(), frame, frame.pixels(), truth, gsjax.read_mesh(truth.mesh)
     for record in (*records, view, decode(view, jnp.zeros(3, jnp.float32))):
         check_fields(record)
-
-
-def test_unprojected_depth_lies_on_the_surface(folder, cameras):
-    for index, camera in enumerate(cameras):
-        depth = np.load(folder / f"depth/{index:03d}.npz")["depth"]
-        pose = np.asarray(camera.viewmat)
-        points = (np.asarray(unproject(jnp.asarray(depth), camera)) - pose[:3, 3])[depth > 0] @ pose[:3, :3]
-        padded = np.resize(points, (depth.size, 3))  # one shape, one compilation
-        assert np.abs(SDF(padded)).max() < 1e-4
 
 
 def test_the_model_holds_the_true_cameras_and_consistent_tracks(folder, cameras):
@@ -100,8 +87,8 @@ def test_truth_points_lie_on_the_surface_with_their_normals(folder):
     assert np.mean(is_table == truth["label"]) > 0.99  # where both touch either may be named
     assert np.abs(points[truth["label"] == 1, :2]).max() < analytic_scene.TRUTH_HALF
     assert truth["n_train_views"].min() >= analytic_scene.TRUTH_VIEWS
-    assert truth["n_train_views"].max() <= VIEWS - 1
-    assert np.bincount(truth["label"]).min() > 5_000
+    assert truth["n_train_views"].max() <= VIEWS - 2  # without the held-out views, the first and the last
+    assert np.bincount(truth["label"]).tolist() == [6_000, 4_000]
 
 
 def test_the_mesh_opens_elsewhere_with_its_colours(folder):

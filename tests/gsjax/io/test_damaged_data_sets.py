@@ -1,6 +1,5 @@
 """Damaged data sets: whatever their files hold, they load or the fault is one line; `GSJAX_FUZZ=50000` tries more."""
 
-import json
 import zipfile
 
 import cv2
@@ -9,6 +8,7 @@ import pycolmap
 import pytest
 from fuzzing import fuzz_files
 from PIL import Image
+from transforms_ring import edit, ring, write
 
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
@@ -16,14 +16,6 @@ from gsjax.io.images import image_size, read_image, read_mask
 from gsjax.io.normal_maps import normal_maps
 from gsjax.io.scenes import load_scene
 from gsjax.io.truth import load_truth
-
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
-
-
-def photos(folder, count=3):
-    folder.mkdir(parents=True, exist_ok=True)
-    for i in range(count):
-        cv2.imwrite(str(folder / f"{i}.png"), np.full((6, 8, 3), 40 * i, np.uint8))
 
 
 def read_all(root):
@@ -37,27 +29,16 @@ def read_all(root):
 
 def stated(root):
     """Writes a `transforms.json` with as much in it as there may be; returns the file."""
-    photos(root / "images")
-    (root / "p.ply").write_bytes(cloud())
-    frames = []
-    for i in range(3):
-        pose = np.eye(4)
-        pose[0, 3] = i
-        frames.append({"file_path": f"images/{i}.png", "transform_matrix": (pose @ OPENGL).tolist(), "mask_path": None})
-    frames[1] |= {"fl_x": 9.0, "k1": 0.02, "is_bad": False, "mask_path": "images/1.png"}
-    names = [frame["file_path"] for frame in frames]
-    sizes = {"w": 8, "h": 6, "fl_x": 8.0, "fl_y": 8.5, "cx": 4.0, "cy": 3.0}
-    camera = sizes | {"k1": 0.01, "k2": 0.0, "camera_angle_x": 0.8}
+    names = [f"images/{i:03d}.png" for i in range(3)]
+    camera = {"w": 40, "h": 30, "fl_x": 40.0, "fl_y": 41.0, "cx": 20.0, "cy": 15.0, "k1": 0.01, "camera_angle_x": 0.8}
     lists = {"train_filenames": names[:2], "test_filenames": names[2:], "test_frames": []}
-    meta = {**camera, **lists, "camera_model": "OPENCV", "ply_file_path": "p.ply", "frames": frames}
-    (root / "transforms.json").write_text(json.dumps(meta))
+    write(root, poses=ring(3), **camera, **lists, camera_model="OPENCV", ply_file_path="p.ply")
+    edit(root, lambda m: m["frames"][1].update(fl_x=45.0, k1=0.02, is_bad=False, mask_path=names[1]))
+    columns = "float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"
+    head = "".join(f"property {column}\n" for column in columns)
+    rows = "1 2 3 10 20 30\n4 5 6 40 50 60\n"
+    (root / "p.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 2\n{head}end_header\n{rows}")
     return root / "transforms.json"
-
-
-def cloud():
-    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {a}\n" for a in "xyz")
-    header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
-    return (header + "end_header\n1 2 3 10 20 30\n4 5 6 40 50 60\n").encode()
 
 
 def test_fuzz_transforms(tmp_path):
@@ -103,22 +84,22 @@ def test_fuzz_arrays_and_normal_maps(tmp_path, suffix):
     frames = load_scene(tmp_path).frames[:1]
     maps = tmp_path / "normals"
     maps.mkdir()
-    file = maps / f"0.{suffix.split('.')[-1]}"
-    unit = np.tile(np.array([0, 0, -1], np.float32), (6, 8, 1))
+    file = maps / f"000.{suffix.split('.')[-1]}"
+    unit = np.tile(np.array([0, 0, -1], np.float32), (30, 40, 1))
     if suffix == "png":
         cv2.imwrite(str(file), np.rint((unit[..., ::-1] + 1) / 2 * 65535).astype(np.uint16))
     elif suffix == "npy":
         np.save(file, unit)
     else:
         (np.savez_compressed if "comp" in suffix else np.savez)(file, cam=unit)
-    np.testing.assert_allclose(normal_maps(maps, frames)["0.png"]()[..., 2], -1, atol=1e-6)
+    np.testing.assert_allclose(normal_maps(maps, frames)["000.png"]()[..., 2], -1, atol=1e-6)
 
     def read():
         if suffix != "png":
             headers(file)
             read_arrays(file)
         load_truth(tmp_path, frames)
-        normal_maps(maps, frames)["0.png"]()
+        normal_maps(maps, frames)["000.png"]()
 
     assert fuzz_files(read, file, usual=40)[1] > (0 if suffix == "png" else 10)
 
@@ -140,15 +121,15 @@ def test_arrays_of_more_than_memory_holds_are_told(tmp_path, name):
 def test_fuzz_truth(tmp_path):
     stated(tmp_path)
     frames = load_scene(tmp_path).frames[:1]
-    depth, points = tmp_path / "depth/0.npz", tmp_path / "gt_points.npz"
+    depth, points = tmp_path / "depth/000.npz", tmp_path / "gt_points.npz"
     depth.parent.mkdir()
-    np.savez(depth, depth=np.ones((6, 8), np.float32), label=np.ones((6, 8), np.uint8))
+    np.savez(depth, depth=np.ones((30, 40), np.float32), label=np.ones((30, 40), np.uint8))
     np.savez(points, points=np.ones((4, 3)), normals=np.ones((4, 3)), label=np.zeros(4, np.uint8))
 
     def read():
         truth = load_truth(tmp_path, frames)
         for maps in (truth.depths, truth.labels):
-            maps["0.png"]()
+            maps["000.png"]()
 
     assert fuzz_files(read, depth, points, usual=40)[0]
 
@@ -156,7 +137,7 @@ def test_fuzz_truth(tmp_path):
 def test_fuzz_lists_and_clouds(tmp_path):
     stated(tmp_path)
     names = tmp_path / "hold_out.txt"
-    names.write_text("# of these\n0.png\n1.png\n")
+    names.write_text("# of these\n000.png\n001.png\n")
     fuzz_files(lambda: load_scene(tmp_path, hold_out=str(names)), tmp_path / "p.ply", names, usual=40)
 
 

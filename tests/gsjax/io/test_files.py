@@ -4,6 +4,7 @@ import stat
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from gsjax.errors import InputError
@@ -37,7 +38,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     assert os.listdir(tmp_path) == ["a"]
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EIO])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS])
 def test_a_sick_disk_is_one_line_with_the_path_and_the_reason(tmp_path, number):
     target = tmp_path / "state.npz"
     target.write_text("old")
@@ -46,6 +47,10 @@ def test_a_sick_disk_is_one_line_with_the_path_and_the_reason(tmp_path, number):
         raise OSError(number, os.strerror(number))
     assert str(caught.value) == f"cannot write {target}: {os.strerror(number)}"
     assert target.read_text() == "old" and os.listdir(tmp_path) == ["state.npz"]
+    with pytest.raises(InputError, match=r"cannot write .*npz/x\.json: "), files.atomic_path(target / "x.json"):
+        pass
+    with pytest.raises(InputError, match="cannot write .*npz: File exists"):
+        files.make_folder(target)
 
 
 def test_a_file_comes_to_where_a_link_leads(tmp_path):
@@ -80,22 +85,29 @@ def test_a_file_larger_than_memory_is_refused_before_it_is_read(tmp_path):
         files.read_bytes(tmp_path / "huge.ply")
 
 
-def test_a_file_in_place_of_the_parent_folder(tmp_path):
-    (tmp_path / "run").write_text("")
-    with pytest.raises(InputError, match=r"cannot write .*run/x\.json: "), files.atomic_path(tmp_path / "run/x.json"):
-        pass
-    with pytest.raises(InputError, match="cannot write .*run: File exists"):
-        files.make_folder(tmp_path / "run")
+def kill_writer(target, function, half):
+    """Begins to write a file or a folder in a process that ends at once."""
+    killed = f"import os, sys\nfrom gsjax.io.files import {function}\nwith {function}(sys.argv[1]) as path:\n"
+    killed += f"    {half}.write_text('half')\n    os._exit(9)"
+    assert subprocess.run([sys.executable, "-c", killed, str(target)]).returncode == 9
+    assert not target.exists()
+
+
+def test_the_folder_of_a_killed_writer_goes_when_the_next_one_begins(tmp_path):
+    for name in ("scene", "other"):
+        kill_writer(tmp_path / name, "workspace", "(path / 'half')")
+    (tmp_path / ".scene-0123abcd").mkdir()
+    assert len(os.listdir(tmp_path)) == 3
+    with files.atomic_folder(tmp_path / "scene") as folder:
+        (folder / "whole").write_text("whole")
+    entries = sorted(os.listdir(tmp_path))
+    assert entries[0].startswith(".other.gsjax-"), "may be of a writer on another machine"
+    assert entries[1:] == [".scene-0123abcd", "scene"] and os.listdir(tmp_path / "scene") == ["whole"]
 
 
 def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
-    killed = (
-        "import os, sys\nfrom gsjax.io.files import atomic_path\n"
-        "with atomic_path(sys.argv[1]) as temporary:\n    temporary.write_text('half')\n    os._exit(9)"
-    )
     target = tmp_path / "a/step_0000001.npz"
-    assert subprocess.run([sys.executable, "-c", killed, str(target)]).returncode == 9
-    assert not target.exists()
+    kill_writer(target, "atomic_path", "path")
     mine = [".hidden-file", ".notes-0123abcd.npz", "step-0123abcd.npz", "step.gsjax-1-0123abcd.npz"]
     for name in mine:
         (tmp_path / name).write_text("the user's")
@@ -106,22 +118,6 @@ def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
         assert os.listdir(target.parent) == [living.name], "of a process that lives"
     assert os.listdir(target.parent) == [target.name]
     assert sorted(os.listdir(tmp_path)) == [mine[0], mine[1], "a", *mine[2:]]
-
-
-def test_the_folder_of_a_killed_writer_goes_when_the_next_one_begins(tmp_path):
-    killed = (
-        "import os, sys\nfrom gsjax.io.files import workspace\n"
-        "with workspace(sys.argv[1]) as folder:\n    (folder / 'half').write_text('half')\n    os._exit(9)"
-    )
-    for name in ("scene", "other"):
-        assert subprocess.run([sys.executable, "-c", killed, str(tmp_path / name)]).returncode == 9
-    (tmp_path / ".scene-0123abcd").mkdir()
-    assert len(os.listdir(tmp_path)) == 3
-    with files.atomic_folder(tmp_path / "scene") as folder:
-        (folder / "whole").write_text("whole")
-    entries = sorted(os.listdir(tmp_path))
-    assert entries[0].startswith(".other.gsjax-"), "may be of a writer on another machine"
-    assert entries[1:] == [".scene-0123abcd", "scene"] and os.listdir(tmp_path / "scene") == ["whole"]
 
 
 def test_a_folder_that_stays_empty_goes_with_the_parents_made_for_it(tmp_path):
@@ -136,3 +132,18 @@ def test_a_folder_that_stays_empty_goes_with_the_parents_made_for_it(tmp_path):
     assert (tmp_path / "new/b/x").exists()
     with pytest.raises(InputError, match="cannot write .*x/b: Not a directory"), files.folder_if_used(folder / "x/b"):
         pass
+
+
+def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_path, monkeypatch):
+    monkeypatch.setattr(temporary_files, "FILE", 4096)
+    rng = np.random.default_rng(0)
+    larger, in_turn = rng.random((40, 50)) > 0.5, rng.normal(size=(30, 100)).astype(np.float32)[:, ::2]
+    keep = temporary_files.ArraysOnDisk(tmp_path / "not" / "there")
+    for array in (rng.integers(0, 256, (17, 19, 3), dtype=np.uint8), larger, in_turn, np.empty((0, 3), np.uint8)):
+        copy = keep(array)
+        np.testing.assert_array_equal(copy, array, strict=True)
+        assert keep(copy) is copy and not copy.flags.writeable or not copy.size, "what lies there is not copied"
+        # A copy in memory is still a memmap to numpy, and does not lie on the disk.
+        assert np.may_share_memory(keep(copy.copy()), keep._mapped) or not copy.size
+        assert copy.ctypes.data % temporary_files.ALIGNED == 0 or not copy.size
+    assert os.listdir(tmp_path) == [], "its files have no names, and go with the process"

@@ -1,5 +1,6 @@
 """Damaged files of Gaussians and points: read, or refused in one line."""
 
+import gzip
 import json
 import zipfile
 
@@ -24,6 +25,11 @@ def write_sample(write, path):
     return path.read_bytes()
 
 
+def check_finite(content):
+    if isinstance(content, Gaussians):
+        assert all(np.isfinite(values).all() for values in vars(content).values() if not isinstance(values, str))
+
+
 @pytest.mark.parametrize(
     ("name", "write", "read"),
     [
@@ -37,21 +43,13 @@ def write_sample(write, path):
 def test_fuzz_files_of_gaussians(tmp_path, name, write, read):
     path = tmp_path / name
     write_sample(write, path)
-
-    def read_whole():
-        content = read(path)
-        if isinstance(content, Gaussians):
-            assert all(np.isfinite(values).all() for values in vars(content).values() if not isinstance(values, str))
-
-    used, refused = fuzz_files(read_whole, path, usual=80)
+    used, refused = fuzz_files(lambda: check_finite(read(path)), path, usual=80)
     assert refused
     assert used or name.endswith((".spz", ".sog")), "a checksum tells every damage of a packed file"
 
 
 def test_fuzz_the_inside_of_spz(tmp_path):
     """What a checksum would else refuse before anybody looks."""
-    import gzip
-
     path = tmp_path / "g.spz"
     whole = gzip.decompress(write_sample(write_spz, path))
 
@@ -76,7 +74,7 @@ def test_fuzz_the_inside_of_sog(tmp_path):
         with zipfile.ZipFile(path, "w") as archive:
             for member, content in changed.items():
                 archive.writestr(member, content)
-        assert all(np.isfinite(values).all() for values in vars(read_sog(path)).values() if not isinstance(values, str))
+        check_finite(read_sog(path))
 
     assert all(fuzz(attempt, usual=80))
 

@@ -1,18 +1,20 @@
-"""What `gsjax --version` and `gsjax doctor` say of an installation, sound and broken."""
+"""Libraries that are missing or broken, and what `gsjax --version` and `gsjax doctor` say of an installation."""
 
 import json
 import re
+import subprocess
 import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from gsjax import cli
 from gsjax.io import installation
 from gsjax.io.installation import Finding, check_libraries
-from gsjax.io.packages import EXTRAS
+from gsjax.io.packages import EXTRAS, MissingPackageError, require
 
 PROJECT = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())["project"]
 pytestmark = pytest.mark.usefixtures("own_environment")
@@ -33,12 +35,15 @@ def test_the_version_is_told_without_loading_jax(capsys, monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "cpu")
     monkeypatch.setitem(sys.modules, "jax", None)  # Whoever imports it now fails.
     assert cli.main(["--version"]) == 0
-    line = capsys.readouterr().out
     expected = f"gsjax {PROJECT['version']}, jax {metadata.version('jax')}, native rasterizer on the CPU\n"
-    assert line == expected
+    assert capsys.readouterr().out == expected
 
 
 def test_bounds_are_those_of_the_project_or_of_what_was_installed(monkeypatch):
+    for module, extra in EXTRAS.items():
+        (name,) = {package for package, other in installation.MODULES.items() if other == module} or {module}
+        lines = PROJECT["optional-dependencies"][extra]
+        assert any(re.match(rf"{name}\b", line) for line in lines), f"{name} is not in the extra {extra}"
     of_extras = [line for extra in set(EXTRAS.values()) for line in PROJECT["optional-dependencies"][extra]]
     assert set(installation.requirements()) == {line.replace(" ", "") for line in PROJECT["dependencies"] + of_extras}
     monkeypatch.setattr(installation, "_project", lambda: None)
@@ -47,25 +52,15 @@ def test_bounds_are_those_of_the_project_or_of_what_was_installed(monkeypatch):
     assert installation.requirements() == ["numpy>=2.2", "open3d>=0.20"]
 
 
-def test_each_package_of_an_extra_is_listed_there_and_may_be_absent(needs, monkeypatch):
-    for module, extra in EXTRAS.items():
-        (name,) = {package for package, other in installation.MODULES.items() if other == module} or {module}
-        lines = PROJECT["optional-dependencies"][extra]
-        assert any(re.match(rf"{name}\b", line) for line in lines), f"{name} is not in the extra {extra}"
-
-    def absent(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "version", absent)
+def test_a_package_of_an_extra_may_be_absent(needs, monkeypatch):
+    monkeypatch.setattr(metadata, "version", Mock(side_effect=metadata.PackageNotFoundError("open3d")))
     finding = needs("open3d>=0.20")["open3d"]
     assert finding.is_fine and finding.result == "is not installed; the extra mesh has it"
 
 
 def test_a_library_is_absent_or_too_old_or_does_not_load_or_is_fine(needs, tmp_path, monkeypatch):
     (tmp_path / "broken_one-1.0.dist-info").mkdir()
-    (tmp_path / "broken_one-1.0.dist-info/METADATA").write_text(
-        "Metadata-Version: 2.1\nName: broken-one\nVersion: 1.0\n"
-    )
+    (tmp_path / "broken_one-1.0.dist-info/METADATA").write_text("Name: broken-one\nVersion: 1.0\n")
     (tmp_path / "broken-one.py").write_text("raise OSError('libGL.so.1: cannot open shared object file')\n")
     monkeypatch.syspath_prepend(tmp_path)
     findings = needs("numpy>=2.2", "scipy>=99", "not-there>=1", "broken-one")
@@ -85,3 +80,59 @@ def test_the_doctor_s_code_and_json_say_whether_all_is_well(is_fine, code, monke
     assert cli.main(["doctor", "--json"]) == code
     report = json.loads(capsys.readouterr().out)
     assert report["is_well"] == is_fine and report["findings"][0]["name"] == "disk"
+
+
+@pytest.mark.parametrize(
+    ("fault", "command"),
+    [
+        ("raise ModuleNotFoundError('no such module')", r"pip install 'gsjax\[mesh\]'"),
+        ("raise ImportError('libusb-1.0.so.0: cannot open\\nmore')", "sudo apt-get install libusb-1.0-0 libgl1"),
+    ],
+)
+def test_what_is_missing_is_one_line_with_the_command_that_installs_it(tmp_path, monkeypatch, fault, command):
+    (tmp_path / "open3d.py").write_text(fault)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    with pytest.raises(MissingPackageError) as error:
+        require("open3d")
+    assert re.fullmatch(rf"cannot load open3d \(.*\); install it with: {command}.*", str(error.value))
+
+
+def test_sigterm_keeps_the_handler_of_the_program():
+    """pycolmap's log takes SIGTERM for itself; in a process of its own, for it does so once."""
+    program = """
+import signal, sys
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
+from gsjax.io.packages import require
+require("pycolmap")
+signal.raise_signal(signal.SIGTERM)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (7, "")
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_waits_until_a_package_is_loaded(tmp_path, name):
+    """A compiled module would turn the exception of the handler into an ImportError, as this one does."""
+    (tmp_path / "open3d.py").write_text(f"""
+import signal
+try:
+    signal.raise_signal(signal.{name})
+    loaded = True
+except BaseException:
+    raise ImportError("initialization failed") from None
+""")
+    program = f"""
+import signal, sys
+sys.path.insert(0, {str(tmp_path)!r})
+from gsjax.cli.stopping import Stopping
+from gsjax.io.packages import require
+with Stopping() as stopping:
+    try:
+        require("open3d")
+    except BaseException as stop:
+        print(type(stop).__name__, sys.modules["open3d"].loaded, stopping.signal.name)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    raised = {"SIGINT": "KeyboardInterrupt", "SIGTERM": "SystemExit"}[name]
+    assert (ended.stdout.strip(), ended.stderr) == (f"{raised} True {name}", "")

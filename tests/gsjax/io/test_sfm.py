@@ -1,20 +1,23 @@
-import io
+"""Reconstruction of real photos, and the focal lengths of EXIF that it starts from."""
+
 import os
 import shutil
 from functools import partial
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
 import pycolmap
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.io import sfm
 from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
-from gsjax.io.sfm import reconstruct
+from gsjax.io.sfm import initial_cameras, mapping, reconstruct, source_photos
 from gsjax.io.sfm.source_photos import list_source_photos
 
 quietly = partial(tqdm, disable=True)
@@ -28,43 +31,77 @@ def noise_photos(folder, count, size=(64, 48)):
     return folder
 
 
+def save_turned(source, target, turns, orientation=None):
+    """A photo with its stored pixels turned clockwise by quarter turns, and a tag where one is given."""
+    pixels, _ = read_image(source)
+    exif = Image.Exif()
+    if orientation:
+        exif[0x0112] = orientation
+    Image.fromarray(np.ascontiguousarray(np.rot90(pixels, -turns))).save(target, quality=95, exif=exif)
+
+
 @pytest.fixture(scope="module")
-def fox(shared, tmp_path_factory):
-    """Six neighbouring real photos, reconstructed."""
+def photos(shared):
+    """Six neighbouring real photos."""
+    return sorted((shared / "data/fox/images").iterdir())[:6]
+
+
+@pytest.fixture(scope="module")
+def fox(photos, tmp_path_factory):
+    """The reconstruction of photos held upright and across, its report, and the quarter turns of those held across."""
     root = tmp_path_factory.mktemp("sfm")
     (root / "photos").mkdir()
-    for file in sorted((shared / "data/fox/images").iterdir())[:6]:
-        shutil.copy(file, root / "photos")
-    bars = []
+    turns = {}
+    for number, source in enumerate(photos):
+        target = root / "photos" / source.name
+        match number % 4:
+            case 0:
+                shutil.copy(source, target)
+            case 1:
+                save_turned(source, target, turns=3, orientation=6)  # as phones store what was held upright
+            case 2:
+                save_turned(source, target, turns=1, orientation=8)
+            case 3:
+                save_turned(source, target, turns=3)  # as if it had been held across
+                turns[source.name] = 3
+    return root / "scene", reconstruct(root / "photos", root / "scene", progress=quietly), turns
 
-    def progress(**settings):
-        bars.append(tqdm(**settings, file=io.StringIO()))
-        return bars[-1]
 
-    report = reconstruct(root / "photos", root / "scene", progress=progress)
-    return root / "scene", report, bars
-
-
-def check_poses(scene, shared, turns=None, tolerance=1.0):
-    """Relative rotations agree with the reference model's; `turns` by name: quarter turns clockwise of a picture."""
+def test_real_photos_get_the_poses_of_the_reference_model(fox, shared):
+    """Within a degree: six photos fix the focal length, and with it the angles, to a few per cent only."""
+    scene, report, turns = fox
+    assert (report.images, report.registered, report.left_out) == (6, 6, {})
+    assert report.points > 500 and report.mean_track_length > 2.5 and 0 < report.mean_reprojection_error < 1.2
+    assert 0 < report.seconds < 120
     reference = pycolmap.Reconstruction(shared / "data/fox/undistorted/sparse/0")
     theirs = {image.name: image.cam_from_world().matrix()[:, :3] for image in reference.images.values()}
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     frames = load_scene(scene).frames
-    expected = [np.linalg.matrix_power(turn, (turns or {}).get(f.name, 0)) @ theirs[f.name] for f in frames]
+    expected = [np.linalg.matrix_power(turn, turns.get(frame.name, 0)) @ theirs[frame.name] for frame in frames]
     for frame, rotation in zip(frames[1:], expected[1:], strict=True):
         ours = frame.viewmat[:3, :3] @ frames[0].viewmat[:3, :3].T
         off = ours @ (rotation @ expected[0].T).T
         angle = np.degrees(np.arccos(np.clip((np.trace(off) - 1) / 2, -1, 1)))
-        assert angle < tolerance, frame.name
+        assert angle < 1, frame.name
 
 
-def test_real_photos_get_the_poses_of_the_reference_model(fox, shared):
-    scene, report, _ = fox
-    assert (report.images, report.registered, report.left_out) == (6, 6, {})
-    assert report.points > 500 and report.mean_track_length > 2.5 and 0 < report.mean_reprojection_error < 1.2
-    assert 0 < report.seconds < 120
-    check_poses(scene, shared)  # six photos fix the focal length, and with it the angles, to a few per cent only
+def test_photos_held_upright_and_across_share_a_camera_and_come_out_upright(fox, photos):
+    scene, _, turns = fox
+    model = pycolmap.Reconstruction(scene / "sparse/0")
+    across, *upright = sorted(model.cameras.values(), key=lambda camera: -camera.width)
+    assert len(upright) == 2  # The device stood on its one side, or on the other.
+    for camera in upright:
+        assert (camera.width, camera.height) == (across.height, across.width)
+        np.testing.assert_array_equal(camera.params[:2], across.params[1::-1])
+    for source in photos:
+        photo_path = scene / "images" / source.name
+        with Image.open(photo_path) as picture:
+            assert 0x0112 not in picture.getexif()
+        pixels, _ = read_image(photo_path)
+        expected = np.rot90(read_image(source)[0], -turns.get(source.name, 0))
+        expected = cv2.resize(expected, pixels.shape[1::-1])
+        assert np.abs(pixels.astype(int) - expected).mean() < 12
+        assert np.abs(pixels[::-1, ::-1].astype(int) - expected).mean() > 30  # so that the test can fail
 
 
 def test_the_result_is_an_undistorted_data_set_and_a_report_of_it(fox):
@@ -91,114 +128,127 @@ def test_points_have_the_colours_of_the_photos(fox):
     assert np.median(np.abs(colors - here)) < 10
 
 
-def save_turned(source, target, turns, orientation=None):
-    """A photo with its stored pixels turned clockwise by quarter turns, and a tag where one is given."""
-    pixels, _ = read_image(source)
-    exif = Image.Exif()
-    if orientation:
-        exif[0x0112] = orientation
-    Image.fromarray(np.ascontiguousarray(np.rot90(pixels, -turns))).save(target, quality=95, exif=exif)
-
-
-def test_photos_held_upright_and_across_share_a_camera_and_come_out_upright(shared, tmp_path):
-    (tmp_path / "photos").mkdir()
-    turns = {}
-    for number, source in enumerate(sorted((shared / "data/fox/images").iterdir())[:6]):
-        target = tmp_path / "photos" / source.name
-        match number % 4:
-            case 0:
-                shutil.copy(source, target)
-            case 1:
-                save_turned(source, target, turns=3, orientation=6)  # as phones store what was held upright
-            case 2:
-                save_turned(source, target, turns=1, orientation=8)
-            case 3:
-                save_turned(source, target, turns=3)  # as if it had been held across
-                turns[source.name] = 3
-    report = reconstruct(tmp_path / "photos", tmp_path / "scene", progress=quietly)
-    assert report.registered == 6
-    model = pycolmap.Reconstruction(tmp_path / "scene/sparse/0")
-    across, *upright = sorted(model.cameras.values(), key=lambda camera: -camera.width)
-    assert len(upright) == 2  # The device stood on its one side, or on the other.
-    for camera in upright:
-        assert (camera.width, camera.height) == (across.height, across.width)
-        np.testing.assert_array_equal(camera.params[:2], across.params[1::-1])
-    check_poses(tmp_path / "scene", shared, turns)
-    for source in sorted((shared / "data/fox/images").iterdir())[:6]:
-        photo_path = tmp_path / "scene/images" / source.name
-        with Image.open(photo_path) as picture:
-            assert 0x0112 not in picture.getexif()
-        pixels, _ = read_image(photo_path)
-        expected = np.rot90(read_image(source)[0], -turns.get(source.name, 0))
-        expected = cv2.resize(expected, pixels.shape[1::-1])
-        assert np.abs(pixels.astype(int) - expected).mean() < 12
-        assert np.abs(pixels[::-1, ::-1].astype(int) - expected).mean() > 30  # so that the test can fail
-
-
-def test_a_video_becomes_a_data_set_of_its_sharpest_frames(shared, tmp_path):
-    sharp = [cv2.imread(str(source)) for source in sorted((shared / "data/fox/images").iterdir())[:6]]
-    frames = [frame for image in sharp for frame in (cv2.GaussianBlur(image, (0, 0), 3), image, image // 4)]
-    writer = cv2.VideoWriter(str(tmp_path / "clip.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (270, 480))
-    for frame in frames:
-        writer.write(frame)
-    writer.release()
-    report = reconstruct(tmp_path / "clip.avi", tmp_path / "scene", frames=6, progress=quietly)
-    assert (report.images, report.registered) == (6, 6)
-    assert sorted(p.name for p in (tmp_path / "scene/images").iterdir()) == [f"{3 * i + 1:06d}.jpg" for i in range(6)]
-
-
-def crash(*_):
-    os.abort()
-
-
-def test_a_crash_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch):
-    photos = noise_photos(tmp_path / "photos", 2)
-    monkeypatch.setattr(sfm, "_build", crash)
-    with pytest.raises(InputError, match=r"photos: the process was ended by SIGABRT") as raised:
-        reconstruct(photos, tmp_path / "scene", progress=quietly)
-    assert "\n" not in str(raised.value)
-    assert [p.name for p in tmp_path.iterdir()] == ["photos"]
-
-
 def test_what_cannot_be_meant_is_refused(tmp_path):
     photos = noise_photos(tmp_path / "photos", 2)
     with pytest.raises(InputError, match="is a folder of photos, of which all are taken"):
         reconstruct(photos, tmp_path / "scene", frames=5)
     with pytest.raises(InputError, match="0.png: is one photo"):
         reconstruct(photos / "0.png", tmp_path / "scene", progress=quietly)
-    with pytest.raises(InputError, match="--frames 1: at least 2"):
-        reconstruct(photos / "0.png", tmp_path / "scene", frames=1)
-    (tmp_path / "clip.mp4").write_bytes(b"no video")
-    with pytest.raises(InputError, match="clip.mp4: not a video that can be read"):
-        reconstruct(tmp_path / "clip.mp4", tmp_path / "scene", progress=quietly)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["clip.mp4", "photos"]
-
-
-def test_photos_that_show_nothing_in_common_are_counted(tmp_path):
-    photos = noise_photos(tmp_path / "photos", 3)
-    with pytest.raises(InputError, match=r"photos: no model found; 0 of 3 photos match another one"):
-        reconstruct(photos, tmp_path / "scene", progress=quietly)
-    assert [p.name for p in tmp_path.iterdir()] == ["photos"]
-
-
-def test_unusable_photos_are_named(tmp_path):
     with pytest.raises(InputError, match="no such folder of photos"):
         list_source_photos(tmp_path / "nowhere")
-    photos = noise_photos(tmp_path / "photos", 1)
-    (photos / "notes.txt").write_text("not a photo")
     with pytest.raises(InputError, match=r"photos: needs at least 2 photos .*, has 1"):
-        list_source_photos(photos)
-    (photos / "broken.jpg").write_bytes(b"\xff\xd8\xff\xe0 no more")
-    with pytest.raises(InputError, match=r"broken.jpg: not a whole image"):
-        reconstruct(photos, tmp_path / "scene", progress=quietly)
+        list_source_photos(noise_photos(tmp_path / "one/photos", 1))
+    with pytest.raises(InputError, match="--frames 1: at least 2"):
+        reconstruct(photos / "0.png", tmp_path / "scene", frames=1)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["one", "photos"]
+    for out, message in ((tmp_path / "one", "exists and is not empty"), (photos / "0.png/below", "cannot write")):
+        with pytest.raises(InputError, match=message):
+            reconstruct(photos, out, progress=quietly)
+    assert os.listdir(tmp_path / "one") == ["photos"] and (photos / "0.png").is_file()
 
 
-def test_a_folder_in_use_is_left_alone(tmp_path):
-    photos = noise_photos(tmp_path / "photos", 2)
-    (tmp_path / "scene").mkdir()
-    (tmp_path / "scene/precious").write_text("kept")
-    with pytest.raises(InputError, match="exists and is not empty"):
-        reconstruct(photos, tmp_path / "scene", progress=quietly)
-    with pytest.raises(InputError, match="cannot write"):
-        reconstruct(photos, tmp_path / "scene/precious/below", progress=quietly)
-    assert (tmp_path / "scene/precious").read_text() == "kept"
+def test_frames_of_a_video_that_show_nothing_in_common_are_counted(tmp_path):
+    writer = cv2.VideoWriter(str(tmp_path / "clip.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (64, 48))
+    for photo in noise_photos(tmp_path / "photos", 6).iterdir():
+        writer.write(cv2.imread(str(photo)))
+    writer.release()
+    with pytest.raises(InputError, match=r"clip.avi: no model found; 0 of 3 photos match another one"):
+        reconstruct(tmp_path / "clip.avi", tmp_path / "scene", frames=3, progress=quietly)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["clip.avi", "photos"]
+
+
+SIZE = (300, 200)
+PIXELS_A_MM = np.hypot(*SIZE) / np.hypot(36, 24)  # of 35 mm film
+
+
+def photo(path, film=None, zoom=None, make="Maker", lens=4.2):
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0110] = make, "Phone 1"
+    details = exif.get_ifd(0x8769)
+    for tag, value in ((0xA405, film), (0xA404, zoom), (0x920A, lens)):
+        if value is not None:
+            details[tag] = value
+    pixels = np.random.default_rng(0).integers(0, 256, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(path, exif=exif)
+
+
+def priors_of(folder, *photos):
+    """The prior focal length of each photo, mm of 35 mm film, None where there is none; and why some are ignored."""
+    for number, tags in enumerate(photos):
+        photo(folder / f"{number}.jpg", **tags)
+    shots = source_photos.list_source_photos(folder)
+    priors, ignored = initial_cameras.focal_priors(shots)
+    cameras = initial_cameras.guess_cameras(shots, priors)
+    focals = [camera.mean_focal_length() / PIXELS_A_MM if camera.has_prior_focal_length else None for camera in cameras]
+    return cameras, focals, ignored
+
+
+def test_another_digital_zoom_is_another_camera_and_none_is_none_however_it_is_written(tmp_path):
+    zooms = (None, 1.0, IFDRational(0, 1), IFDRational(0, 0), 1.6)
+    cameras, focals, _ = priors_of(tmp_path, *({"film": 28, "zoom": zoom} for zoom in zooms))
+    assert len({camera.camera_id for camera in cameras[:4]}) == 1 != cameras[4].camera_id
+    np.testing.assert_allclose(focals, [28] * 4 + [1.6 * 28], rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("films", "zooms", "expected"),
+    [
+        ((28, 45, 84), (1.0, 1.6, 3.0), [28, 45, 84]),  # as phones write that note 45 for 28 mm zoomed by 1.6
+        ((28, 28), (2.0, 1.6), [56, 44.8]),  # No photo is without zoom.
+    ],
+)
+def test_a_35_mm_equivalent_that_changes_with_the_zoom_includes_it(tmp_path, films, zooms, expected):
+    _, focals, _ = priors_of(tmp_path, *({"film": film, "zoom": zoom} for film, zoom in zip(films, zooms, strict=True)))
+    np.testing.assert_allclose(focals, expected, rtol=1e-3)
+
+
+def test_where_no_photo_shows_it_an_iphone_includes_the_zoom_and_others_leave_it_unknown(tmp_path):
+    tags = {"film": 45, "zoom": 1.6}
+    _, focals, ignored = priors_of(tmp_path, tags | {"make": "Apple"}, tags, {"film": 20, "lens": 2.2})
+    np.testing.assert_allclose([focals[0], focals[2]], [45, 20], rtol=1e-3)
+    assert focals[1] is None
+    assert ignored == {"1.jpg": "it does not say whether 45 mm of 35 mm film includes its zoom 1.6"}
+
+
+@pytest.mark.parametrize(("film", "is_taken"), [(7, False), (8, True), (400, True), (401, False)])
+def test_only_focal_lengths_of_lenses_are_taken_and_others_named(tmp_path, film, is_taken):
+    cameras, focals, ignored = priors_of(tmp_path, {"film": film}, {"film": film})
+    if is_taken:
+        np.testing.assert_allclose(focals, film, rtol=1e-3)
+        assert ignored == {}
+    else:
+        assert focals == [None, None]
+        assert cameras[0].mean_focal_length() == pytest.approx(1.2 * 300), "as without EXIF"
+        reason = f"{film} mm of 35 mm film is not between 8 and 400"
+        assert ignored == {"0.jpg": reason, "1.jpg": reason}
+
+
+def fake_model(registered, points=100):
+    return SimpleNamespace(num_reg_images=lambda: registered, num_points3D=lambda: points)
+
+
+@pytest.mark.parametrize(
+    ("models", "index", "line"),
+    [
+        ([10], 0, ""),
+        ([9, 4], 0, "9 of 20 photos get a pose with the focal lengths of EXIF, 4 without them; the model with them"),
+        ([None, 6], 1, "0 of 20 photos get a pose with the focal lengths of EXIF, 6 without them; the model without"),
+    ],
+)
+def test_mapping_runs_again_without_priors_where_less_than_half_register(tmp_path, monkeypatch, models, index, line):
+    outcomes = [InputError("no model found") if count is None else (fake_model(count), {}) for count in models]
+    map_photos = Mock(side_effect=outcomes)
+    monkeypatch.setattr(mapping, "map_photos", map_photos)
+    for number in range(20):
+        photo(tmp_path / f"{number:02d}.jpg", film=135)
+    shots = source_photos.list_source_photos(tmp_path)
+    priors, _ = initial_cameras.focal_priors(shots)
+    material = mapping.Material(shots, [], np.zeros((20, 20)), [])
+    model, _, note = mapping.map_photos_with_priors(material, priors, tmp_path / "work", quietly)
+    starts = [call.args[0].cameras[0].has_prior_focal_length for call in map_photos.call_args_list]
+    assert starts == [True, False][: len(models)]
+    assert model is outcomes[index][0]
+    assert note.startswith(line) and bool(note) == bool(line)
+    map_photos.side_effect = InputError("no model found")
+    with pytest.raises(InputError, match="no model found"):
+        mapping.map_photos_with_priors(material, priors, tmp_path / "again", quietly)

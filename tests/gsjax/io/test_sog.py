@@ -39,7 +39,7 @@ def half_gaps(values, entries):
     return np.where(inside, (entries[place] - entries[place - 1]) / 2, beyond)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(gaussians=clouds)
 def test_sog_keeps_everything_to_its_steps(tmp_path_factory, gaussians):
     path = tmp_path_factory.mktemp("sog") / "g.sog"
@@ -51,9 +51,8 @@ def test_sog_keeps_everything_to_its_steps(tmp_path_factory, gaussians):
     for field in FIELDS:
         assert getattr(read, field).shape == expected[field].shape
         assert getattr(read, field).dtype == np.float32 and np.isfinite(getattr(read, field)).all(), field
-    step = (
-        np.subtract(meta["means"]["maxs"], meta["means"]["mins"]) / 65535
-    )  # of ln(1 + |x|), so of x (1 + |x|) times it
+    # Of ln(1 + |x|), so of x (1 + |x|) times it.
+    step = np.subtract(meta["means"]["maxs"], meta["means"]["mins"]) / 65535
     bound = (step / 2 * (1 + 1e-3) + ROUNDING) * (1 + np.abs(expected["means"]))
     assert (np.abs(read.means - expected["means"]) <= bound).all()
     assert turns_apart(expected["quats"], read.quats) <= 3.1 * np.sqrt(2) / 255 / 2
@@ -61,10 +60,9 @@ def test_sog_keeps_everything_to_its_steps(tmp_path_factory, gaussians):
     for field, part in (("log_scales", "scales"), ("sh_dc", "sh0"), ("sh_rest", "shN")):
         if expected[field].size:
             entries = meta[part]["codebook"]
-            assert (np.abs(read_part := getattr(read, field)) <= np.abs(entries).max() * (1 + 1e-6)).all()
-            assert (np.abs(read_part - expected[field]) <= half_gaps(expected[field], entries) + 10 * ROUNDING).all(), (
-                field
-            )
+            assert (np.abs(getattr(read, field)) <= np.abs(entries).max() * (1 + 1e-6)).all()
+            error = np.abs(getattr(read, field) - expected[field])
+            assert (error <= half_gaps(expected[field], entries) + 10 * ROUNDING).all(), field
 
 
 def test_a_codebook_is_fine_where_the_values_are_and_a_far_value_costs_one_entry():
@@ -75,9 +73,8 @@ def test_a_codebook_is_fine_where_the_values_are_and_a_far_value_costs_one_entry
         # The best of 256 levels has sqrt(pi sqrt(3) / 2) / 256 of the deviation (Panter and Dite 1951).
         assert np.sqrt(np.mean(error**2)) < 2 * np.sqrt(np.pi * np.sqrt(3) / 2) / 256
     few = np.float32([3, -1, 3, 7e20, 0.1] * 9)
-    np.testing.assert_array_equal(
-        quantization.codebook(few)[quantization.nearest_labels(few, quantization.codebook(few))], few
-    )
+    entries = quantization.codebook(few)
+    np.testing.assert_array_equal(entries[quantization.nearest_labels(few, entries)], few)
 
 
 def test_a_palette_finds_rows_that_come_again():
@@ -147,6 +144,8 @@ def test_sog_by_hand(tmp_path):
         ({"scales": {"codebook": [0.0] * 9, "files": ["scales.webp"]}}, "scales.codebook is a list of 9"),
         ({"quats": {"files": ["../../x"]}}, r"not a SOG file, it holds no '../../x'"),
         ({"quats": {"files": []}}, "quats.files is empty"),
+        ({"quats": {"files": ["sh0.webp"]}}, "quaternions whose largest component is none of four"),
+        ({"shN": by_hand()["meta.json"]["shN"] | {"count": 1}}, "labels of harmonics beyond the 1 that there are"),
         ({"means": {"mins": [0, 0, 0], "maxs": [99, 0, 0], "files": ["means_l.webp"] * 2}}, "beyond what float32"),
     ],
 )
@@ -171,13 +170,3 @@ def test_a_sog_that_inflates_without_end_is_refused_in_little_memory(tmp_path):
             assert tracemalloc.get_traced_memory()[1] < 5e6
         finally:
             tracemalloc.stop()
-
-
-def test_labels_and_quaternions_that_name_nothing_are_refused(tmp_path):
-    parts = by_hand()
-    parts["meta.json"]["shN"]["count"] = 1
-    with pytest.raises(InputError, match="g.sog: labels of harmonics beyond the 1 that there are"):
-        read_sog(written_parts(tmp_path / "g.sog", parts))
-    parts = by_hand() | {"quats.webp": by_hand()["sh0.webp"]}
-    with pytest.raises(InputError, match="g.sog: quaternions whose largest component is none of four"):
-        read_sog(written_parts(tmp_path / "g.sog", parts))

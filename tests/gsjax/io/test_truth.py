@@ -12,7 +12,7 @@ def frame(name="a/001.png", width=6, height=4):
     return frame_of(name, np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32), Pixels(image))
 
 
-def test_maps_are_read_at_the_nearest_pixel_centre(tmp_path):
+def test_maps_are_read_at_the_nearest_pixel_centre_and_normals_become_unit(tmp_path):
     (tmp_path / "depth/a").mkdir(parents=True)
     depth = np.arange(24, dtype=np.float32).reshape(4, 6)
     np.savez(tmp_path / "depth/a/001.npz", depth=depth, label=depth.astype(np.uint8))
@@ -22,16 +22,12 @@ def test_maps_are_read_at_the_nearest_pixel_centre(tmp_path):
     half = load_truth(tmp_path, (frame(width=3, height=2),))
     np.testing.assert_array_equal(half.depths["a/001.png"](), depth[1::2, 1::2])
     assert not whole.normals and whole.points is None
-
-
-def test_normals_become_unit_and_nothing_stays_nothing(tmp_path):
     (tmp_path / "normals/a").mkdir(parents=True)
     cam = np.zeros((4, 6, 3), np.float16)
     cam[1:] = (0.3, 0.0, -0.4)
     np.savez(tmp_path / "normals/a/001.npz", cam=cam, world=cam)
     normals = load_truth(tmp_path, (frame(),)).normals["a/001.png"]()
-    assert normals.dtype == np.float32
-    np.testing.assert_array_equal(normals[0], 0)
+    assert normals.dtype == np.float32 and not normals[0].any()
     np.testing.assert_allclose(normals[1:], np.broadcast_to([0.6, 0, -0.8], (3, 6, 3)), atol=3e-4)
 
 
@@ -47,9 +43,8 @@ def test_a_true_mesh_is_named_where_points_say_what_of_it_was_seen(tmp_path):
     assert load_truth(tmp_path, (frame(),)).mesh is None
 
 
-@pytest.mark.parametrize("downscale", [1, 2])
-def test_bunny_depth_lies_on_the_ground_and_normals_match_it(shared, downscale):
-    scene = load_scene(shared / "data/bunny_plane", downscale=downscale)
+def test_bunny_depth_lies_on_the_ground_and_normals_match_it(shared):
+    scene = load_scene(shared / "data/bunny_plane", downscale=2)
     truth = scene.truth
     assert set(truth.depths) == set(truth.normals) == {f.name for f in scene.frames}
     for f in scene.frames[::20]:
@@ -57,14 +52,12 @@ def test_bunny_depth_lies_on_the_ground_and_normals_match_it(shared, downscale):
         ground = labels == 255
         y, x = np.nonzero(ground)
         # A map read at the nearest pixel keeps that pixel's ray, half a pixel from the downscaled one.
-        offset = 0.5 if downscale == 1 else 0.75
-        pixels = np.stack([x + offset, y + offset, np.ones_like(x)], axis=-1)
+        pixels = np.stack([x + 0.75, y + 0.75, np.ones_like(x)], axis=-1)
         cam = pixels @ np.linalg.inv(f.K.astype(float)).T * depth[ground][:, None]
         world = (cam - f.viewmat[:3, 3]) @ f.viewmat[:3, :3]
         assert np.abs(world[:, 2]).max() < 2e-4
-        np.testing.assert_allclose(
-            normals[ground] @ f.viewmat[:3, :3], np.broadcast_to([0, 0, 1], world.shape), atol=1e-2
-        )
+        up = np.broadcast_to([0, 0, 1], world.shape)
+        np.testing.assert_allclose(normals[ground] @ f.viewmat[:3, :3], up, atol=1e-2)
         sky = labels == 0
         assert not normals[sky].any() and not depth[sky].any()
     assert truth.points.shape == truth.point_normals.shape == (40_000, 3)
@@ -81,8 +74,6 @@ def test_faults_are_named(tmp_path):
     np.savez(file, depth=np.zeros((4, 12), np.float32), label=np.zeros((4, 12), np.uint8))
     with pytest.raises(InputError, match=r"001.npz: map is 12x4 but a/001.png is 6x4"):
         load_truth(tmp_path, (frame(),))
-    data = file.read_bytes()
-    for share in (0.0, 0.1, 0.5, 0.95):
-        file.write_bytes(data[: int(share * len(data))])
-        with pytest.raises(InputError, match=r"001.npz: cannot be read"):
-            load_truth(tmp_path, (frame(),))
+    file.write_bytes(file.read_bytes()[:-20])
+    with pytest.raises(InputError, match=r"001.npz: cannot be read"):
+        load_truth(tmp_path, (frame(),))
