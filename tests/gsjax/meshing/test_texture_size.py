@@ -30,7 +30,7 @@ def plane(per_side: int) -> Mesh:
     return square(per_side, -1.0, 1.0)
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.5, 1.1])
+@pytest.mark.parametrize("turn", [0.0, 1.1])
 def test_pixels_of_a_plane_are_those_whose_rays_meet_it(turn):
     wall, view = plane(40), camera(4.0, turn)
     met = np.count_nonzero(depth_of_mesh(wall, view.viewmat, view.K, view.width, view.height))

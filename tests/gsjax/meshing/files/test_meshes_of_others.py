@@ -1,6 +1,5 @@
 """Meshes of other programs: their colours, indices and missing parts, and the memory that reading takes."""
 
-import re
 import tracemalloc
 
 import numpy as np
@@ -159,36 +158,6 @@ def test_colours_of_an_obj_are_shares_or_bytes_and_grey_where_there_are_none(tmp
     mesh = read_mesh(tmp_path / "m.obj")
     np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_array_equal(mesh.colors, [[255, 0, 51], [0, 255, 0], [128, 128, 128]])
-
-
-@pytest.mark.parametrize(
-    ("material", "fault"),
-    [
-        (None, "k.mtl, which it names, is not in its folder"),
-        ("newmtl r\nmap_Kd gone.png\n", "gone.png, which it names, is not in its folder"),
-        ("newmtl r\nmap_Kd k.obj\n", "k.obj, which it names, is no picture that can be read"),
-        ("newmtl r\nmap_Kd ../k.png\n", "../k.png, which it names, is not in its folder"),
-    ],
-)
-def test_an_obj_says_which_colours_are_missing(tmp_path, capsys, material, fault):
-    if material is not None:
-        (tmp_path / "k.mtl").write_text(material)
-    (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{TRIANGLES}usemtl r\nf 1/1 2/2 3/3\n")
-    assert read_mesh(tmp_path / "k.obj").num_faces == 1
-    message = f"{tmp_path / 'k.obj'}: {fault}; the colours that it would give are missing\n"
-    assert capsys.readouterr().err == message
-
-
-def test_a_ply_says_that_its_picture_is_missing_in_one_line(tmp_path, capsys, caplog):
-    (tmp_path / "m.ply").write_text(
-        "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\n"
-        + "".join(f"property float {name}\n" for name in "xyzst")
-        + "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-        + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n"
-    )
-    assert read_mesh(tmp_path / "m.ply").num_faces == 1
-    assert re.fullmatch(r".*m\.ply: gone\.png, which it names, is not in its folder; .*\n", capsys.readouterr().err)
-    assert not caplog.records
 
 
 @pytest.mark.parametrize("name", ["m.ply", "m.glb", "m.obj"])
