@@ -95,13 +95,8 @@ def test_a_file_without_gaussians_is_one_of_each_format(tmp_path, cloud, suffix)
     ("source", "out", "options", "message"),
     [
         ("in.ply", "out.splat", [], "out.splat: files of Gaussians end in .compressed.ply, .ply, .sog, .spz"),
-        ("in.glb", "out.ply", [], "in.glb: no such file or folder"),
-        ("no_run", "out.ply", [], "no_run: no such file or folder"),
         ("photo.glb", "out.ply", [], "photo.glb: files of Gaussians end in"),
         ("none.spz", "out.ply", [], "none.spz: no such file or folder"),
-        ("photo.spz", "out.ply", [], "photo.spz: not an SPZ file"),
-        ("photo.ply", "out.spz", [], "photo.ply: not a PLY file"),
-        ("plain.compressed.ply", "out.spz", [], "plain.compressed.ply: not a compressed PLY of Gaussians"),
         ("short.spz", "out.ply", [], "short.spz: truncated or damaged"),
         ("in.ply", "in.ply/out.spz", [], "cannot write"),
         ("in.ply", "out.spz", ["--sh-degree", "5"], "--sh-degree 5 is not between 0 and 4"),
@@ -111,10 +106,7 @@ def test_a_file_without_gaussians_is_one_of_each_format(tmp_path, cloud, suffix)
     ],
 )
 def test_faults_are_one_line_and_leave_nothing(cloud, tmp_path, capsys, source, out, options, message):
-    (tmp_path / "photo.spz").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     (tmp_path / "photo.glb").write_bytes(b"glTF")
-    (tmp_path / "photo.ply").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
-    (tmp_path / "plain.compressed.ply").write_bytes((tmp_path / "in.ply").read_bytes())
     convert(tmp_path / "in.ply", tmp_path / "short.spz")
     (tmp_path / "short.spz").write_bytes((tmp_path / "short.spz").read_bytes()[:-300])
     before = sorted(tmp_path.iterdir())

@@ -116,12 +116,10 @@ def test_every_known_network_is_fed_and_read_as_its_contract_says(tmp_path, netw
     ("shape", "dtype", "changes"),
     [
         (ANY, np.float16, {}),
-        ((1, "h", "w", 3), np.float32, {"layout": "NHWC"}),
         ((1, "h", "w", 3), np.float32, {"layout": "NCHW"}),
         ((1, "h", "w", "c"), np.float32, {"layout": "NHWC"}),
         ((1, 3, 28, 70), np.float32, {}),
         ((1, 3, 64, 64), np.float32, {"size": {"rule": "fixed", "sides": [384, 384], "border": "reflect"}}),
-        ((1, 3, 64, 64), np.float32, {"size": {"rule": "multiple", "fit": "stretch"}}),
         (ANY, np.float32, {"size": {"rule": "multiple", "multiple": 7, "longest": 90, "border": [255, 0, 9]}}),
         (ANY, np.float32, {"size": {"rule": "multiple", "multiple": 16, "fit": "stretch"}}),
         (ANY, np.float32, {"axes": "+x-y-z", "normals": {"place": 0}}),
@@ -265,17 +263,10 @@ def graph_that(fault, file):
     signed = graph.affine(image, 2.0, -1.0)
     if fault == "depth only":
         graph.output(graph.channel(image, 0), "pred_depth")
-    elif fault == "one channel":
-        graph.output(graph.add("ReduceMax", image, axes=[1]), "normal")
-    elif fault == "pooled":
-        graph.output(graph.add("GlobalAveragePool", signed), "normal")
     elif fault == "turned":
         graph.output(graph.transposed(signed, [0, 1, 3, 2]), "normal")
     elif fault == "nan":
         graph.output(graph.add("Div", signed, graph.constant(0.0)), "normal")
-    elif fault == "more input":
-        graph.input("K", (3, 3))
-        graph.output(signed, "normal")
     elif fault == "two inputs":
         graph.output(graph.add("Mul", signed, graph.input("prompt", (1,))), "normal")
     elif fault == "does not run":
@@ -286,9 +277,7 @@ def graph_that(fault, file):
 FAULTS = {
     "grey": r"w.onnx: takes no picture of three channels; its inputs are image \[\?, 1, \?, \?\]",
     "depth only": r"w.onnx: gives no normals \(normal\); its outputs are pred_depth",
-    "one channel": r"w.onnx: gives \[1, 1, 40, 60\] for a photo of 60x40, not normals, three values a pixel",
-    "pooled": r"w.onnx: gives \[1, 3, 1, 1\] for a photo of 60x40, not normals",
-    "turned": r"w.onnx: gives \[1, 3, 60, 40\] for a photo of 60x40, not normals",
+    "turned": r"w.onnx: gives \[1, 3, 60, 40\] for a photo of 60x40, not normals, three values a pixel",
     "nan": r"w.onnx: gives 2400 pixels that are not finite for a.png",
     "two inputs": r"w.onnx: also takes prompt \[1\], which the network's record does not know",
     "does not run": r"w.onnx: does not run on image \[1, 3, 40, 60\] \(.*\)",
@@ -339,9 +328,7 @@ def test_files_that_cannot_serve_are_named(tmp_path):
     ("changes", "message"),
     [
         ({"axis": "opencv"}, "r.json: unknown key 'axis'; the nearest known one is 'axes'"),
-        ({"axes": None}, "r.json: axes is None, expected str"),
         ({"axes": "up"}, "expected three signs such as"),
-        ({"range": "bytes"}, 'r.json: range is \'bytes\', expected one of "signed", "unit"'),
         ({"size": {"rule": "fixed"}}, "r.json: size: the rule fixed needs sides"),
         ({"size": {"rule": "multiple", "multiple": 0}}, "r.json: size: multiple=0 is below 1"),
         ({"std": [0, 1, 1]}, "must be positive"),
