@@ -10,7 +10,7 @@ from gsjax.scene import Pixels, batches, frame_of, with_pixels
 from gsjax.training.terms import losses
 
 RNG = np.random.default_rng(0)
-BLACK, WHITE = jnp.zeros(3, jnp.float32), jnp.ones(3, jnp.float32)
+BLACK = jnp.zeros(3, jnp.float32)
 
 
 def frame(width, height, *, matte=None, valid=None, name="a.png"):
@@ -39,7 +39,6 @@ def test_what_photos_lack_is_not_stored_and_a_whole_photo_is_not_copied():
     (target,) = batches.read_batches((photo,)).views
     assert target.valid is None and target.matte is None and target.normals is None
     assert target.image is photo.pixels().image
-    assert batches.read_batches((photo, photo)).num_bytes == 2 * (12 * 6 * 3 + 16 * 4 + 9 * 4 + 2 * 4)
 
 
 def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
@@ -65,9 +64,6 @@ def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
     assert_close(data.views[0].image, np.rint(blocks).astype(np.uint8))
     assert_close(data.views[0].camera.K, np.diag([0.5, 0.5, 1]) @ photo.K)
     assert bool(batches.decode(data.views[0], BLACK).valid.all())
-
-
-def test_a_reduction_that_leaves_no_pixel_is_one_line():
     with pytest.raises(InputError, match="photos 8 times smaller: nothing is left of one of 9x6 pixels"):
         batches.read_batches((frame(9, 6),), scale=8)
 
@@ -119,12 +115,11 @@ def test_a_smaller_pixel_has_the_mean_of_its_normals_as_long_as_they_agree():
     assert_close(other[1:], np.zeros((1, 3, 3)))
 
 
-@pytest.mark.parametrize("room", [0, 1 << 20])
-def test_targets_reach_the_device_with_the_same_bits_in_any_order(room):
+def test_targets_reach_the_device_with_the_same_bits_in_any_order():
     data = batches.read_batches(
         tuple(frame(6, 4, matte=RNG.integers(0, 256, (4, 6), dtype=np.uint8)) for _ in range(4))
     )
-    view, order = batches.feed(data, room=room), [2, 0, 0, 3, 1, 2]
+    view, order = batches.feed(data, room=1 << 20), [2, 0, 0, 3, 1, 2]
     for index, following in zip(order, [*order[1:], 1], strict=True):
         (fed,) = view([index], [following])
         assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(fed))
@@ -142,5 +137,6 @@ def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
     monkeypatch.setattr(jax, "device_put", noted)
     view = batches.feed(data, room=data.num_bytes - 1)
     for index, following in ((0, 1), (1, 2), (2, 2), (2, 0)):
-        view([index], [following])
+        (fed,) = view([index], [following])
+        jax.tree.map(np.testing.assert_array_equal, fed, data.views[index])
     assert sent == [0, 1, 2, 0], "each once, before it is asked for; the same view twice in a row is sent once"

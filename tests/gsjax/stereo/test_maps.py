@@ -13,6 +13,7 @@ NORMALS[DEPTH > 0] = [0, 0, -127]
 
 
 def test_maps_come_back_to_the_bit(tmp_path):
+    assert read_stereo_maps(tmp_path) is None
     maps = {"a.png": StereoMap(DEPTH, NORMALS), "deep/b.jpg": StereoMap(2 * DEPTH, NORMALS)}
     write_stereo_maps(tmp_path, maps)
     read = read_stereo_maps(tmp_path)
@@ -20,10 +21,6 @@ def test_maps_come_back_to_the_bit(tmp_path):
     for name, each in maps.items():
         np.testing.assert_array_equal(read[name].depth, each.depth)
         np.testing.assert_array_equal(read[name].normals, each.normals)
-
-
-def test_a_run_without_maps_has_none(tmp_path):
-    assert read_stereo_maps(tmp_path) is None
 
 
 def test_a_damaged_file_is_named(tmp_path):
@@ -40,10 +37,8 @@ def test_a_damaged_file_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("depth", "normals"),
     [
-        (DEPTH[0], NORMALS),
         (DEPTH, NORMALS[:1]),
         (DEPTH, NORMALS.astype(np.float32)),
-        (DEPTH.astype(np.float64), NORMALS),
         (np.where(DEPTH > 2, np.nan, DEPTH), NORMALS),
         (-DEPTH, NORMALS),
         (DEPTH[:, :0], NORMALS[:, :0]),

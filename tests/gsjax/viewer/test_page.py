@@ -139,8 +139,6 @@ def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
         assert not (tmp_path / "run").exists()
     with pytest.raises(InputError, match="--port 65536 is not between 0 and 65535"):
         check_port("127.0.0.1", 65536)
-    with pytest.raises(InputError, match="--host nowhere.invalid: "):
-        check_port("nowhere.invalid", 0)
     with pytest.raises(InputError, match="--host ..: is no name of a host"):
         check_port("..", 0)
 
@@ -172,10 +170,8 @@ def test_no_page_but_its_own_reads_what_is_for_this_machine(monkeypatch):
         assert answer(page, *tunnel).startswith("HTTP/1.1 101 ")
         foreign = [
             (own, "Origin: https://somewhere.example"),
-            (own, "Origin: null"),
             (own, f"Origin: http://127.0.0.1:{port + 1}"),
             ("Host: rebound.example", "Origin: http://rebound.example"),
-            ("Host: rebound.example",),
             ("Host: 127.0.0.1.rebound.example",),
             ("Host: [",),
         ]
