@@ -93,18 +93,6 @@ def test_texels_are_those_that_a_triangle_covers_and_show_its_points(mesh, laid_
     assert np.abs(colors - texels.colors).max() < 0.6
 
 
-def test_charts_lie_three_texels_apart(mesh):
-    atlas = charts(mesh, SIZE)
-    texels = texels_of(mesh, atlas)
-    number, labels = charts_of(atlas)
-    assert number == atlas.num_charts > 1
-    image = np.full((SIZE, SIZE), -1)
-    image.flat[texels.where] = labels[atlas.faces[texels.faces, 0]]
-    high = ndimage.maximum_filter(image, size=3)
-    low = -ndimage.maximum_filter(np.where(image < 0, -number, -image), size=3)
-    assert np.all((low == high) | (high < 0)), "two charts within one texel of another"
-
-
 @pytest.mark.parametrize(("layout", "size"), [(charts, SIZE), (cells, 26 * 4), (cells, 26 * 7 + 3)])
 def test_bilinear_sampling_at_borders_reads_the_inner_colour_alone(mesh, layout, size):
     atlas = layout(mesh, size)

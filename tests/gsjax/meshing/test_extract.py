@@ -46,17 +46,6 @@ def test_ball_on_ground_renders_to_the_depth_it_came_from(ball_on_ground):
     assert np.median(np.abs(mesh_depth - depth)[both]) < 0.02
 
 
-def test_a_given_box_is_taken_as_it_is(ball):
-    upper = Box((-2, -2, 0), (2, 2, 2))
-    mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(5_000, depth=6), regions=lambda _: regions.fixed_boxes(upper)
-    )
-    assert mesh.vertices[:, 2].min() > -0.05  # The triangles on the border stick out.
-    assert mesh.vertices[:, 2].max() == pytest.approx(1, abs=0.05)
-    assert not report["topology"]["watertight"]
-    assert report["foreground"]["box"] == [[-2, -2, 0], [2, 2, 2]]
-
-
 def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
     near, far = Box((-2, -2, 0), (2, 2, 2)), Box((-2, -2, -2), (2, 2, 2))
     mesh, report = extract_mesh(

@@ -108,23 +108,15 @@ def test_transparent_gaussians_and_those_with_nan_do_not_make_density(ball):
     np.testing.assert_array_equal(surface.points, alone.points)
 
 
-def test_empty_level_set_says_so(ball):
+def test_nothing_to_see_and_nothing_there(ball):
     soft = replace(ball.gaussians, logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -9.0))
     with pytest.raises(InputError, match=r"level set is empty: none of 2020 rays.*2000 of 2000"):
         level_set.surface_points(soft, *ball.views, LevelSetOptions(num_points=1000))
-
-
-def test_nothing_to_see_and_nothing_there(ball):
     blank = [p._replace(alphas=np.zeros_like(p.alphas)) for p in ball.pictures]
     with pytest.raises(InputError, match="no pixel of 10 views"):
         level_set.surface_points(ball.gaussians, ball.cameras, blank)
     with pytest.raises(InputError, match="none of 0 Gaussians"):
         level_set.surface_points(gs.take(ball.gaussians, np.arange(0)), *ball.views)
-    with pytest.raises(InputError, match="no pixel of 0 views"):
-        level_set.surface_points(ball.gaussians, [], [])
-
-
-def test_maps_of_another_size_than_their_camera_are_refused(ball):
     camera = ball.cameras[0]
     wide = Camera(camera.viewmat, camera.K, 65, 60)
     with pytest.raises(ValueError, match="view 0"):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import jax.numpy as jnp
+import meshes
 import numpy as np
 import pytest
 
@@ -12,16 +13,14 @@ from gsjax.meshing.sharpening import sharpened
 from gsjax.meshing.texture import texture_mesh
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
-from gsjax.scene.meshes import Mesh
 
 PIXELS, TEXELS, FOCAL, AWAY = 40, 80, 40.0, 1.0  # The square of side 1 fills the image: a pixel has two texels a side.
 WAVES = 8  # across the square: five pixels each
 
 
 def square() -> TexturedMesh:
-    corners = np.float32([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
-    mesh = Mesh(corners, np.int32([[0, 2, 1], [0, 3, 2]]), np.zeros((4, 3), np.uint8))
-    atlas = Atlas(corners[:, :2] + 0.5, np.arange(4, dtype=np.int32), mesh.faces, TEXELS, 1)
+    mesh = meshes.turned(meshes.square(1, -0.5, 0.5))
+    atlas = Atlas(mesh.vertices[:, :2] + 0.5, np.arange(4, dtype=np.int32), mesh.faces, TEXELS, 1)
     return TexturedMesh(mesh, atlas, np.zeros((TEXELS, TEXELS, 3), np.uint8))
 
 
