@@ -23,7 +23,7 @@ from gsjax.meshing.select_method import Witness
 from gsjax.meshing.silhouettes import Silhouette
 from gsjax.meshing.track_visibility import TrackRays
 from gsjax.meshing.tsdf import tsdf
-from gsjax.normals.from_depth import depth_normals, smoothed_depth_normals
+from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline import mesh_views
 from gsjax.pipeline.mesh import mesh
 from gsjax.rendering import gallery
@@ -157,15 +157,26 @@ def lumpy(ball, tmp_path_factory):
     return folders
 
 
-def test_where_photos_are_masked_no_triangle_grows(lumpy, tmp_path):
-    def near_lump(name):
-        mesh(lumpy[name], tmp_path / f"{name}.ply", method=fused)
-        result = read_mesh(tmp_path / f"{name}.ply")
-        assert np.sum(np.linalg.norm(result.vertices, axis=1) < 1.15) > 500  # the ball is there
-        return int(np.sum(np.linalg.norm(result.vertices - LUMP, axis=1) < 0.5))
+def test_where_photos_are_masked_or_floaters_hang_no_triangle_grows(lumpy, tmp_path, monkeypatch):
+    """Here all of the lump is taken for floaters; `tests/gsjax/rendering/test_outliers.py` has what they are."""
 
-    assert near_lump("unmasked") > 50
-    assert near_lump("masked") == 0
+    def are_floaters(gaussians, views):
+        assert [(view.depth.shape, bool(view.depth.any())) for view in views] == 10 * [((60, 64), True)]
+        return np.linalg.norm(np.asarray(gaussians.means) - LUMP, axis=1) < 0.5
+
+    def mesh_counts(name, **options):
+        report = mesh(lumpy[name], tmp_path / "mesh.ply", method=fused, photo_refine=False, **options)
+        vertices = read_mesh(tmp_path / "mesh.ply").vertices
+        assert report["method"] == "fused"
+        assert np.sum(np.linalg.norm(vertices, axis=1) < 1.15) > 500, "the ball is there"
+        return report["floaters"], int(np.sum(np.linalg.norm(vertices - LUMP, axis=1) < 0.5))
+
+    monkeypatch.setattr(mesh_views, "are_floaters", are_floaters)
+    assert mesh_counts("unmasked") == (500, 0)
+    assert mesh_counts("masked", keep_floaters=True) == (None, 0)
+    floaters, near_lump = mesh_counts("unmasked", keep_floaters=True)
+    assert floaters is None
+    assert near_lump > 50
 
 
 def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch, capsys):
@@ -248,34 +259,6 @@ def test_pictures_that_memory_does_not_hold_are_rendered_again_and_are_the_same(
     assert views[0].spread(4) == [0, 3, 6, 9] and views[0].spread(20) == list(range(10))
 
 
-def test_a_method_is_handed_in_and_named_in_the_report(file, tmp_path):
-    def mine(gaussians, cameras, pictures):
-        return tsdf(smoothed_depth_normals, voxel=0.06)(gaussians, cameras, pictures)
-
-    report = mesh(file, tmp_path / "mesh.ply", method=mine)
-    assert report["method"] == "mine"
-    assert report["foreground"]["voxel"] == pytest.approx(0.06 / open_result(file).similarity.scale)
-
-
-def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
-    """Here all of the lump is taken for floaters; `tests/gsjax/rendering/test_floaters.py` has what they are."""
-
-    def are_floaters(gaussians, views):
-        assert [(view.depth.shape, bool(view.depth.any())) for view in views] == 10 * [((60, 64), True)]
-        return np.linalg.norm(np.asarray(gaussians.means) - LUMP, axis=1) < 0.5
-
-    def mesh_counts(**options):
-        report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method=fused, photo_refine=False, **options)
-        vertices = read_mesh(tmp_path / "mesh.ply").vertices
-        return report["floaters"], int(np.sum(np.linalg.norm(vertices - LUMP, axis=1) < 0.5))
-
-    monkeypatch.setattr(mesh_views, "are_floaters", are_floaters)
-    assert mesh_counts() == (500, 0)
-    floaters, near_lump = mesh_counts(keep_floaters=True)
-    assert floaters is None
-    assert near_lump > 50
-
-
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
@@ -283,9 +266,7 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
         ({"level": 1.5}, "--level 1.5"),
         ({"trim_quantile": 1.0}, "--trim-quantile 1.0"),
         ({"points": 0}, "--points 0"),
-        ({"depth": 1}, "--depth 1"),
         ({"cell": -0.1}, "--cell -0.1"),
-        ({"faces": 0}, "--faces 0"),
         ({"background_bounds": [0, 0, 0, 1, 1, 1]}, "--background-bounds needs --bounds"),
         ({"bounds": [1, 0, 0, 0, 1, 1]}, "min below its max"),
         ({"bounds": [0, 0, 0, 1, 1, float("inf")]}, "--bounds 0 0 0 1 1 inf: not all of its sides are finite"),

@@ -50,6 +50,17 @@ def run(tmp_path, monkeypatch):
     return folder, drawn_cameras
 
 
+def gif_pictures(path):
+    """`[T, H, W, 3]`, and how many milliseconds each is shown; equal pictures in a row are there once."""
+    pictures, durations = [], []
+    with Image.open(path) as animation:
+        for index in range(animation.n_frames):
+            animation.seek(index)
+            pictures.append(np.asarray(animation.convert("RGB")).astype(int))
+            durations.append(animation.info["duration"])
+    return np.array(pictures), durations
+
+
 @pytest.fixture
 def box() -> Mesh:
     """A long box far off the origin: red at its upper end in z, blue elsewhere."""
@@ -109,12 +120,8 @@ def test_a_turntable_is_a_folder_a_film_or_a_gif(run, tmp_path):
     cameras.clear()
     pipeline.render(folder, tmp_path / "turn.gif", views="turntable", seconds=3.6)
     np.testing.assert_allclose([viewmat_center(camera.viewmat) for camera in cameras], circle, atol=0.02)
-    with Image.open(tmp_path / "turn.gif") as animation:
-        assert animation.size == (24, 20)
-        durations = []  # A GIF holds equal pictures in a row once.
-        for index in range(animation.n_frames):
-            animation.seek(index)
-            durations.append(animation.info["duration"])
+    pictures, durations = gif_pictures(tmp_path / "turn.gif")
+    assert pictures.shape[1:] == (20, 24, 3)
     assert sum(durations) == 3600 and min(durations) == 100
 
 
@@ -125,12 +132,7 @@ def test_a_mesh_turns_in_its_vertex_colours_or_its_texture(tmp_path, box):
     for name, out in (("m.ply", "v.gif"), ("m.glb", "t.gif")):
         options = ["--turntable", "--seconds", "0.3", "--size", "64x32"]
         assert cli.main(["render", str(tmp_path / name), "--out", str(tmp_path / out), *options]) == 0
-    colored, textured = ([], [])
-    for file, frames in (("v.gif", colored), ("t.gif", textured)):
-        with Image.open(tmp_path / file) as animation:
-            for index in range(animation.n_frames):
-                animation.seek(index)
-                frames.append(np.asarray(animation.convert("RGB")).astype(int))
+    colored, textured = (gif_pictures(tmp_path / name)[0] for name in ("v.gif", "t.gif"))
     assert np.shape(colored) == np.shape(textured) == (3, 32, 64, 3)
     for picture in textured:
         assert (picture[[0, -1]] == 255).all() and (picture[:, [0, -1]] == 255).all(), "over white, and not cut off"
@@ -150,8 +152,7 @@ def test_a_mesh_has_depth_and_normals_and_is_seen_along_a_path(tmp_path, monkeyp
     (tmp_path / "path.json").write_text(json.dumps({"keyframes": poses}))
     options = {"path": tmp_path / "path.json", "seconds": 1, "fps": 1, "size": (64, 64), "what": "normals"}
     pipeline.render(tmp_path / "m.ply", tmp_path / "n.gif", **options)
-    with Image.open(tmp_path / "n.gif") as film:
-        picture = np.asarray(film.convert("RGB")).astype(int)
+    picture = gif_pictures(tmp_path / "n.gif")[0][0]
     facing = np.abs(picture - [128, 128, 255]).max(axis=-1) < 4
     # Its distance is 4 and half of its height 1.5, at a focal length of 32 / tan(30 degrees).
     rows, columns = (np.ptp(places) + 1 for places in np.nonzero(facing))
@@ -206,7 +207,6 @@ def test_a_film_that_is_stopped_leaves_nothing(run, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("names", "stems"),
     [
-        (["a.png", "b/c.jpg"], ["a", "b_c"]),
         (["a.HEIC", "a.JPG", "b.png"], ["a.HEIC", "a.JPG", "b"]),
         (["l/0.png", "l_0.png"], ["l_0.png_0", "l_0.png_1"]),
         (["", "..", "../a.png"], ["", "..", ".._a"]),

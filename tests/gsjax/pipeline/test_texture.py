@@ -2,6 +2,7 @@
 
 import shutil
 
+import meshes
 import numpy as np
 import pytest
 import small_scenes
@@ -12,7 +13,6 @@ from gsjax.io.images import write_image
 from gsjax.meshing.export import read_textured, write_mesh
 from gsjax.pipeline.texture import known_background
 from gsjax.runs.result import open_result
-from gsjax.scene.meshes import Mesh
 
 SIZE = 128
 
@@ -33,9 +33,7 @@ def folder(tmp_path_factory):
         for k, c in enumerate(cameras)
     ]
     json_files.write(folder / "cameras.json", records)
-    corners = np.array([[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], np.float32)
-    faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
-    write_mesh(folder / "grey.ply", Mesh(corners, faces, np.full((4, 3), 128, np.uint8)))
+    write_mesh(folder / "grey.ply", meshes.turned(meshes.square(1, -1, 1, height=4.0, color=(128, 128, 128))))
     return folder
 
 
