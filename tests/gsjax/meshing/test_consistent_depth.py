@@ -5,9 +5,7 @@ import pytest
 
 from gsjax.meshing.consistent_depth import (
     AGREEING,
-    PIXELS,
     SAME_AS_STEREO,
-    SAME_SURFACE,
     consistent_pictures,
     of_consistent_depth,
 )
@@ -87,16 +85,6 @@ def test_a_lump_that_all_show_stays():
         inner = in_lump(x) & in_lump(x + 2.0 * NEARER / FOCAL) & in_lump(x - 2.0 * NEARER / FOCAL)
         assert inner.any()
         np.testing.assert_array_equal(new.depth[inner], NEARER)
-
-
-@pytest.mark.parametrize(("off", "stays"), [(0.8, True), (1.2, False), (-1.2, False)])
-def test_how_near_two_depths_of_one_surface_are(off, stays):
-    """The middle view has the wall nearer or farther than all others have it."""
-    pictures = [picture(x) for x in XS]
-    same = max(SAME_SURFACE, PIXELS / FOCAL)
-    pictures[2] = pictures[2]._replace(depth=pictures[2].depth * np.float32(1 + off * same))
-    assert (agreed(XS, pictures)[2].depth > 0).all() == stays
-    assert (agreed(XS, pictures)[2].depth > 0).any() == stays
 
 
 def test_views_side_by_side_confirm_nothing():

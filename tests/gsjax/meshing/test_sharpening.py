@@ -75,12 +75,3 @@ def test_pixels_that_say_nothing_change_nothing():
         np.testing.assert_array_equal(sharpened(grey, [view()], [nothing]).texture, grey.texture)
     away = replace(view(), viewmat=view().viewmat.at[2, 3].set(-AWAY))  # The square lies behind it.
     np.testing.assert_array_equal(sharpened(grey, [away], [photo(white)]).texture, grey.texture)
-
-
-def test_what_shines_through_a_thin_wall_is_its_own_colour_where_the_background_is_known():
-    white = photo(np.zeros((PIXELS, PIXELS, 3)), 0.6)  # 0.6 of black Gaussians before white: 0.4 is seen.
-    inner = slice(8, -8)
-    start = painted(np.zeros((TEXELS, TEXELS, 3)))
-    for background, expected in ((np.ones(3, np.float32), 0.4), (None, 0.0)):
-        result = sharpened(sharpened(start, [view()], [white], background), [view()], [white], background)
-        np.testing.assert_allclose(result.texture[inner, inner] / 255, expected, atol=0.01)

@@ -19,7 +19,6 @@ from gsjax.io.ply import write_gaussians
 from gsjax.meshing import holes, select_method
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.methods import METHODS, MeshMethod
-from gsjax.meshing.select_method import Witness
 from gsjax.meshing.silhouettes import Silhouette
 from gsjax.meshing.track_visibility import TrackRays
 from gsjax.meshing.tsdf import tsdf
@@ -44,7 +43,8 @@ def file(ball, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_any_ply_becomes_a_mesh_without_cameras(file, method, tmp_path):
-    report = mesh(file, tmp_path / "mesh.glb", method=method, fill_holes=method == "poisson")
+    options = {"fill_holes": True, "points": 20_000} if method == "poisson" else {}
+    report = mesh(file, tmp_path / "mesh.glb", method=method, **options)
     result = read_mesh(tmp_path / "mesh.glb")
     assert result.num_faces == report["faces"] > 1000
     assert report["facing_share"] > 0.99
@@ -85,29 +85,46 @@ def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
     [(400, False, "tsdf", "met"), (90, False, "poisson", None), (90, True, "tsdf", "both")],
 )
 def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch, count, mattes, winner, agrees):
-    """Balls of four sizes, of which one is where the tracks end; fewer than 100 lines of sight leave it to mattes."""
+    """Balls of which one is where the tracks end; fewer than 100 lines of sight leave it to mattes.
+
+    Candidates are built from two of the ten views and a tenth of the points; the winner from all.
+    """
     directions = np.random.default_rng(0).normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    radii, calls = {"poisson": 1.1, "empty": None, "tsdf": 1.0}, []
+    poisson = METHODS["poisson"]
+    radii, calls, rendered, draw = {"poisson": 1.1, "empty": None, "tsdf": 1.0}, [], [], gallery.pictures
+
+    def make(options, _, ids, *, name):
+        calls.append((name, options.points, list(ids)))
+        return name
+
+    def pictures_of(gaussians, cameras, *arguments, **options):
+        rendered.append(len(cameras))
+        return draw(gaussians, cameras, *arguments, **options)
 
     def extract(gaussians, cameras, pictures, *, method, **options):
-        calls.append(method)
+        assert len(list(pictures)) == len(cameras) == len(calls[-1][2])
         if radii[method] is None:
             raise NoSurfaceError("no surface to extract: as here")
         sphere = trimesh.creation.icosphere(subdivisions=3, radius=radii[method])
         return Mesh(sphere.vertices, sphere.faces, np.full(sphere.vertices.shape, 128, np.uint8)), {}
 
     monkeypatch.delitem(METHODS, "tsdf")
+    monkeypatch.setattr(gallery, "pictures", pictures_of)
+    monkeypatch.setattr(mesh_views, "are_floaters", lambda gaussians, views: np.arange(2000) == 1999)
+    monkeypatch.setitem(mesh.__globals__, "FEWEST_TRIED", 2)
     for name in radii:
-        monkeypatch.setitem(METHODS, name, MeshMethod("a sphere", lambda *_, name=name: name))
+        monkeypatch.setitem(METHODS, name, MeshMethod("a sphere", partial(make, name=name), poisson.options))
     lines = TrackRays(3 * directions, 0.99 * directions)
     monkeypatch.setattr(select_method, "track_rays", lambda data: lines)
     monkeypatch.setattr(select_method, "silhouettes_of", lambda data: (outline_of_a_ball(0.99),) if mattes else ())
     monkeypatch.setitem(mesh.__globals__, "extract_mesh", extract)
     monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
-    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", keep_floaters=True, photo_refine=False)
-    assert report["method"] == winner
-    assert calls == (["poisson", "empty", "tsdf", "tsdf"] if winner == "tsdf" else ["poisson"])
+    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", points=200_000, photo_refine=False)
+    assert report["method"] == winner and report["floaters"] == 1
+    assert rendered == [10, 10], "once more without the floaters"
+    candidates = [(name, 20_000, [0, 9]) for name in radii] if winner == "tsdf" else []
+    assert calls == [*candidates, (winner, 200_000, list(range(10)))]
     assert {name: one[agrees] > 0.9 for name, one in report["tried"].items()} == (
         {"poisson": False, "tsdf": True} if winner == "tsdf" else {}
     )
@@ -204,44 +221,6 @@ def test_the_stereo_depth_that_supervised_a_run_is_read_from_it(lumpy, tmp_path)
     views = mesh_views.MeshViews(open_result(run), None, with_owners=False)
     assert list(views.stereo) == [3] and not views.stereo_counts
     np.testing.assert_array_equal(views.stereo[3], depth)
-
-
-def test_auto_renders_each_view_once_and_extracts_at_full_size_once(lumpy, tmp_path, monkeypatch):
-    """Candidates are built from two of the ten views and a tenth of the points; the winner from all."""
-    rendered, visited = [], []
-    draw, poisson = gallery.pictures, METHODS["poisson"]
-
-    def pictures(gaussians, cameras, *arguments, **options):
-        rendered.append(len(cameras))
-        return draw(gaussians, cameras, *arguments, **options)
-
-    def make(name, options, ids):
-        def visiting(gaussians, cameras, pictures):
-            visited.append((name, len(cameras), options.points, list(ids)))
-            return method(gaussians, cameras, pictures)
-
-        method = poisson.make(options, None, ids)
-        return visiting
-
-    for name in METHODS:
-        entry = MeshMethod(
-            name, lambda options, _, ids, name=name: make(name, options, ids), poisson.options, poisson.needs
-        )
-        monkeypatch.setitem(METHODS, name, entry)
-    hang = np.zeros(2000, bool)
-    hang[-1] = True
-    monkeypatch.setattr(gallery, "pictures", pictures)
-    monkeypatch.setattr(mesh_views, "are_floaters", lambda gaussians, views: hang)
-    monkeypatch.setitem(mesh.__globals__, "FEWEST_TRIED", 2)
-    monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
-    shares = iter([0.5, 0.9])
-    witness = Witness("what is known", lambda mesh: {"met": next(shares)}, 0.04)
-    monkeypatch.setitem(mesh.__globals__, "evidence_of", lambda *_: witness)
-    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", points=200_000, photo_refine=False)
-    assert report["method"] == "tsdf" and report["floaters"] == 1
-    assert rendered == [10, 10], "once more without the floaters"
-    tenth = [(name, 2, 20_000, [0, 9]) for name in ("poisson", "tsdf")]
-    assert visited == [*tenth, ("tsdf", 10, 200_000, list(range(10)))]
 
 
 def test_pictures_that_memory_does_not_hold_are_rendered_again_and_are_the_same(lumpy, monkeypatch):

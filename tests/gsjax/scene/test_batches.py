@@ -34,13 +34,6 @@ def test_mixed_sizes_are_padded_right_and_below_and_the_padding_is_invalid():
     assert (tall.camera.width, tall.camera.height) == (12, 10)
 
 
-def test_what_photos_lack_is_not_stored_and_a_whole_photo_is_not_copied():
-    photo = frame(12, 6)
-    (target,) = batches.read_batches((photo,)).views
-    assert target.valid is None and target.matte is None and target.normals is None
-    assert target.image is photo.pixels().image
-
-
 def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
     small, large = frame(12, 14), frame(16, 18)
     rendered = RNG.random((18, 16, 3)).astype(np.float32)
@@ -54,6 +47,18 @@ def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
     padded = batches.decode(batches.read_batches((large, small)).views[1], BLACK)
     assert padded.image.shape == (18, 16, 3)
     assert_close(terms(padded, rendered), terms(alone, rendered[:14, :12]))
+
+
+def test_a_whole_photo_is_not_copied_and_a_matte_lays_it_over_the_background():
+    matte = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
+    photo = frame(7, 5, matte=matte)
+    (target,) = batches.read_batches((photo,)).views
+    assert target.valid is None and target.normals is None and target.image is photo.pixels().image
+    background = np.array([0.2, 0.5, 0.9])
+    batch = batches.decode(target, jnp.asarray(background, jnp.float32))
+    a = matte[..., None] / 255
+    assert_close(batch.image, photo.pixels().image / 255 * a + (1 - a) * background)
+    assert_close(batch.matte, matte / 255)
 
 
 def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
@@ -85,16 +90,6 @@ def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_p
     assert_close(batches.read_batches((photo,), scale=2).views[0].image[0, 0], expected.astype(np.uint8))
 
 
-def test_mattes_lay_the_photo_over_the_background():
-    matte = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
-    photo = frame(7, 5, matte=matte)
-    background = np.array([0.2, 0.5, 0.9])
-    batch = batches.decode(batches.read_batches((photo,)).views[0], jnp.asarray(background, jnp.float32))
-    a = matte[..., None] / 255
-    assert_close(batch.image, photo.pixels().image / 255 * a + (1 - a) * background)
-    assert_close(batch.matte, matte / 255)
-
-
 @pytest.mark.parametrize("scale", [1, 2])
 def test_masks_decide_what_is_valid(scale):
     mask = np.zeros((4, 6), np.uint8)
@@ -115,28 +110,13 @@ def test_a_smaller_pixel_has_the_mean_of_its_normals_as_long_as_they_agree():
     assert_close(other[1:], np.zeros((1, 3, 3)))
 
 
-def test_targets_reach_the_device_with_the_same_bits_in_any_order():
+@pytest.mark.parametrize("room", [0, 1 << 20])
+def test_targets_reach_the_device_with_the_same_bits_in_any_order(room):
     data = batches.read_batches(
         tuple(frame(6, 4, matte=RNG.integers(0, 256, (4, 6), dtype=np.uint8)) for _ in range(4))
     )
-    view, order = batches.feed(data, room=1 << 20), [2, 0, 0, 3, 1, 2]
+    view, order = batches.feed(data, room=room), [2, 0, 0, 3, 1, 2]
     for index, following in zip(order, [*order[1:], 1], strict=True):
         (fed,) = view([index], [following])
         assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(fed))
         jax.tree.map(np.testing.assert_array_equal, fed, data.views[index])
-
-
-def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
-    data = batches.read_batches(tuple(frame(6, 4) for _ in range(3)))
-    sent, put = [], jax.device_put
-
-    def noted(target):
-        sent.append(next(i for i, candidate in enumerate(data.views) if candidate is target))
-        return put(target)
-
-    monkeypatch.setattr(jax, "device_put", noted)
-    view = batches.feed(data, room=data.num_bytes - 1)
-    for index, following in ((0, 1), (1, 2), (2, 2), (2, 0)):
-        (fed,) = view([index], [following])
-        jax.tree.map(np.testing.assert_array_equal, fed, data.views[index])
-    assert sent == [0, 1, 2, 0], "each once, before it is asked for; the same view twice in a row is sent once"

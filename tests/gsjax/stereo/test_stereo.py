@@ -9,8 +9,7 @@ from tolerances import assert_close
 
 from gsjax.scene import Scene, with_pixels
 from gsjax.stereo import depths_of_photos, stereo_points, views
-from gsjax.stereo.depths import CONFIRMED, FEWEST_CHECKED, Evidence, confirmed, evidence
-from gsjax.stereo.sweep import UNLIKE, dissimilarities, inverse_depths
+from gsjax.stereo.depths import FEWEST_CHECKED, Evidence, evidence
 from gsjax.stereo.views import Depth, stereo_views
 
 AWAY = 3.0  # from the cameras to the wall
@@ -124,36 +123,6 @@ def test_a_photo_with_a_wrong_pose_spoils_nothing():
     frames = tuple(replace(f, viewmat=turned) if i == 2 else f for i, f in enumerate(WALL.frames))
     result = stereo_points(depths_of_photos(replace(WALL, frames=frames)), 500)
     assert np.quantile(np.abs(result.points[:, 2]), 0.95) < 0.03 * AWAY
-
-
-def test_dissimilarity_is_least_at_the_wall_and_knows_no_exposure():
-    all_views = stereo_views(WALL)
-    view, others = all_views[0], all_views[1:]
-    costs = dissimilarities(view, others)
-    at_wall = np.abs(inverse_depths(view) - 1 / AWAY).argmin()
-    inner = np.s_[8:-8, 8:-8]
-    assert np.median(costs[at_wall][inner]) < 0.02 < 0.1 < np.median(costs[0][inner])
-    assert costs.min() > -1e-3 and costs.max() <= UNLIKE
-    dimmed = replace(view, gray=0.5 * view.gray + 0.2)
-    assert_close(
-        dissimilarities(dimmed, others)[at_wall][inner],
-        costs[at_wall][inner],
-        rtol=0,
-        atol=0.05,
-        why="where a window is nearly flat, its variance is told from the difference of float32 squares",
-    )
-
-
-def test_another_photo_confirms_what_it_shows_at_that_depth_and_nothing_else():
-    view, other = stereo_views(WALL)[:2]
-    right = [Depth(np.full(each.gray.shape, AWAY), np.ones(each.gray.shape, bool)) for each in (view, other)]
-    in_both = other.landing(view.lift(right[0])).inside.reshape(view.gray.shape)
-    np.testing.assert_array_equal(confirmed(view, right[0], [(other, right[1])]), in_both)
-    for factor in (1 - 2 * CONFIRMED, 1 + 2 * CONFIRMED):
-        wrong = right[1]._replace(z=right[1].z * factor)
-        assert not confirmed(view, right[0], [(other, wrong)]).any()
-    assert not confirmed(view, right[0], [(other, right[1]._replace(is_confident=~right[1].is_confident))]).any()
-    assert not confirmed(view, right[0], []).any()
 
 
 def test_matched_points_judge_a_photo():
