@@ -10,7 +10,7 @@ UNIT = Box((-1, -1, -1), (1, 1, 1))
 
 @pytest.mark.parametrize(
     ("low", "high"),
-    [((1, 0, 0), (0, 1, 1)), ((0, 0), (1, 1)), ((0, 0, 0), (1, 1, 0)), ((0, 0, np.nan), (1, 1, 1))],
+    [((1, 0, 0), (0, 1, 1)), ((0, 0), (1, 1)), ((0, 0, np.nan), (1, 1, 1))],
 )
 def test_a_box_that_is_none_is_one_line(low, high):
     with pytest.raises(InputError, match="min below its max") as caught:
