@@ -9,7 +9,6 @@ from gsjax.networks.records import (
     canvas_fit,
     decode_normals,
     expected_error_degrees,
-    input_intrinsics,
     is_reliable,
     normalize_picture,
 )
@@ -34,18 +33,6 @@ PADDED, LONGEST = Size("multiple", multiple=32), Size("multiple", multiple=28, l
 )
 def test_where_a_photo_goes(size, photo, fixed, expected):
     assert tuple(canvas_fit(size, *photo, fixed)) == expected
-
-
-def test_intrinsics_take_a_point_where_the_photo_is_in_the_input():
-    K = np.array([[500.0, 0, 310], [0, 480, 245], [0, 0, 1]], np.float32)
-    place = canvas_fit(FIXED, 640, 480)
-    moved = input_intrinsics(K, 640, 480, place, 0.5)
-    for point in np.array([[0.1, -0.2, 1], [-0.4, 0.3, 1]]):
-        x, y, _ = K @ point
-        expected = [x * place.width / 640 + place.left, y * place.height / 480 + place.top]
-        np.testing.assert_allclose((moved @ point)[:2], expected, rtol=1e-6)
-    earlier = input_intrinsics(K, 640, 480, place, 0.0)
-    np.testing.assert_allclose(moved - earlier, [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], atol=1e-4)
 
 
 @pytest.mark.parametrize("kappa", [0.0, 1.0, 30.0])

@@ -7,20 +7,18 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from run_folders import write_run
 from small_scenes import camera_at, cloud
 
 from gsjax import cli, pipeline
 from gsjax.io import json_files
 from gsjax.io.images import read_image
-from gsjax.io.ply import write_gaussians
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.export import write_mesh, write_textured
 from gsjax.pipeline.render import picture_stems
 from gsjax.rendering import gallery
 from gsjax.report.pictures import depth_picture
 from gsjax.runs import viewpoints
-from gsjax.runs.result import write_views
-from gsjax.scene import Pixels, frame_of
 from gsjax.scene.cameras import viewmat_center
 from gsjax.scene.meshes import Mesh
 
@@ -30,15 +28,8 @@ POSES = [{"viewmat": (np.eye(4) + shift * np.eye(4, k=3)).tolist(), "fov": 50.0}
 @pytest.fixture
 def run(tmp_path, monkeypatch):
     """A run of ten cameras along x. Its pictures are grey by the camera's x, so nothing is compiled."""
-    folder, image = tmp_path / "run", np.zeros((20, 24, 3), np.uint8)
     cameras = [camera_at((x, 0.0, 0.0), (x, 0.0, 4.0), size=(24, 20)) for x in np.linspace(-1, 1, 10)]
-    frames = [
-        frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(cameras)
-    ]
-    json_files.write(folder / "config.json", {"model": {"background": "white"}})
-    write_gaussians(folder / "gaussians.ply", cloud(30))
-    write_views(folder, tuple(frames))
-    drawn_cameras = []
+    folder, drawn_cameras = write_run(tmp_path / "run", cloud(30), cameras), []
 
     def draw(gaussians, cameras, background, depth_mode="plane"):
         for camera in cameras:

@@ -68,7 +68,7 @@ def picture(uri):
     return Image.open(io.BytesIO(b64decode(data)))
 
 
-def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True, views=9, **settings):
+def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True, **settings):
     """A run folder as training leaves it, without its Gaussians and checkpoints."""
     whole = config.parse(
         Settings, config.merge(PRESETS["fast"], {"seed": seed, "photos": {"downscale": 2.0}, **settings})
@@ -84,16 +84,15 @@ def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True,
         return folder
     records = [
         {"name": name, "width": SIZE[0], "height": SIZE[1], "viewmat": VIEWMAT, "K": K, "held_out": index % 2 == 1}
-        for index, name in enumerate(NAMES[:views])
+        for index, name in enumerate(NAMES)
     ]
     json_files.write(folder / "cameras.json", records)
     keep = view_pictures.picture_keeper(folder)
     for index, record in enumerate(records):
-        photo = np.full((SIZE[1], SIZE[0], 3), 20 * index, np.uint8)
+        photo, flat = np.full((SIZE[1], SIZE[0], 3), 20 * index, np.uint8), np.ones((SIZE[1], SIZE[0]), np.float32)
         frame = frame_of(record["name"], VIEWMAT.astype(np.float32), K.astype(np.float32), Pixels(photo))
-        if record["held_out"]:
-            flat, ones = np.full((SIZE[1], SIZE[0]), 2.0, np.float32), np.ones((SIZE[1], SIZE[0]), np.float32)
-            keep(frame, photo / np.float32(255), Picture(1 - photo / np.float32(255), flat, ones, flat))
+        if record["held_out"]:  # nothing is rendered for the page
+            keep(frame, photo / np.float32(255), Picture(1 - photo / np.float32(255), flat, flat, flat))
     summary = {"psnr": psnr, "ssim": 0.8125, "views": 4, "gaussians": 1234, "steps": 200, "train_seconds": 30.5 + seed}
     runs.update_manifest(folder, status="done", peak_gib=1.25, photos="9 photos at 64x48 (taken at 128x96)", **summary)
     return folder

@@ -9,15 +9,13 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from meshes import tetrahedron
+from run_folders import write_run
 from small_scenes import camera_at, cloud
 
 from gsjax import cli, pipeline
 from gsjax.io import json_files
-from gsjax.io.ply import write_gaussians
 from gsjax.io.spz import read_spz
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.runs.result import write_views
-from gsjax.scene import Pixels, frame_of
 from gsjax.sharing.page import LIBRARIES
 
 HOSTILE = "</script><script>alert(1)</script><!-- <b onload='x'>&\""
@@ -42,15 +40,8 @@ class Page(HTMLParser):
 @pytest.fixture
 def run(tmp_path):
     """Of 30 Gaussians and 20 cameras, with a mesh, and photos that are named to do harm."""
-    image, folder = np.zeros((20, 24, 3), np.uint8), tmp_path / "run"
     cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20)) for x in np.linspace(-1, 1, 20)]
-    frames = [
-        frame_of(f"{HOSTILE}{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image))
-        for k, c in enumerate(cameras)
-    ]
-    json_files.write(folder / "config.json", {"model": {"background": "white"}})
-    write_gaussians(folder / "gaussians.ply", cloud(30))
-    write_views(folder, tuple(frames))
+    folder = write_run(tmp_path / "run", cloud(30), cameras, prefix=HOSTILE)
     write_mesh(folder / "mesh.ply", tetrahedron())
     return folder
 

@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 from meshes import tetrahedron
+from run_folders import write_run
 from small_scenes import camera_at, cloud
 
 from gsjax.errors import InputError
 from gsjax.gaussians import take
-from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from gsjax.meshing.export import glb_bytes, read_mesh, write_mesh
-from gsjax.runs.result import write_views
-from gsjax.scene import Pixels, frame_of
 from gsjax.viewer.viewed_scene import open_viewed_scene
 
 CAMERAS = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20)) for x in (-0.5, 0.5)]
@@ -20,15 +18,7 @@ TETRAHEDRON = tetrahedron()
 
 @pytest.fixture
 def run(tmp_path):
-    image = np.zeros((20, 24, 3), np.uint8)
-    frames = [
-        frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(CAMERAS)
-    ]
-    folder = tmp_path / "run"
-    json_files.write(folder / "config.json", {"model": {"background": "white"}})
-    write_gaussians(folder / "gaussians.ply", cloud(30))
-    write_views(folder, tuple(frames))
-    return folder
+    return write_run(tmp_path / "run", cloud(30), CAMERAS)
 
 
 def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(run):

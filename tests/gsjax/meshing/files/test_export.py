@@ -131,8 +131,7 @@ def test_textured_glb_is_unlit_and_nothing_is_multiplied_with_the_texture(tmp_pa
     assert "COLOR_0" not in primitive["attributes"]
     # glTF's v counts from above, as ours does.
     accessor = header["accessors"][primitive["attributes"]["TEXCOORD_0"]]
-    view = header["bufferViews"][accessor["bufferView"]]
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    start = header["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
     stored = np.frombuffer(binary, np.float32, accessor["count"] * 2, start).reshape(-1, 2)
     np.testing.assert_allclose(stored, textured.atlas.uvs, atol=1e-6)
 

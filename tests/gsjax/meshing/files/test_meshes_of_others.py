@@ -12,21 +12,16 @@ from gsjax.scene.colors import srgb_to_linear
 from gsjax.scene.meshes import Mesh
 
 
-def quad_with_face_colors(path, rows=("255 0 0", "0 0 255")):
+def test_colours_of_faces_are_those_of_their_corners(tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {a}\n" for a in "xyz")
     header += "element face 2\nproperty list uchar int vertex_indices\n"
     header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue")) + "end_header\n"
-    path.write_text(header + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n" + f"3 0 1 2 {rows[0]}\n3 0 2 3 {rows[1]}\n")
-
-
-def test_colours_of_faces_are_those_of_their_corners(tmp_path):
-    quad_with_face_colors(tmp_path / "m.ply")
+    corners = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n"
+    (tmp_path / "m.ply").write_text(header + corners + "3 0 1 2 255 0 0\n3 0 2 3 0 0 255\n")
     mesh = read_mesh(tmp_path / "m.ply")
     np.testing.assert_array_equal(mesh.colors[mesh.faces], [[[255, 0, 0]] * 3, [[0, 0, 255]] * 3])
     corners = [[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], corners)
-    quad_with_face_colors(tmp_path / "m.ply", ("9 8 7", "9 8 7"))
-    assert read_mesh(tmp_path / "m.ply").num_vertices == 4  # nothing is doubled without need
 
 
 def test_coloured_parts_of_a_glb_keep_their_colours_and_places(tmp_path):
