@@ -60,15 +60,12 @@ def strictly_covered(corners):
     return count
 
 
-def test_every_triangle_has_its_own_corners_in_the_square(mesh, laid_out):
+def test_every_triangle_has_its_own_corners_in_the_square_and_no_two_overlap(mesh, laid_out):
     assert laid_out.size == SIZE
     np.testing.assert_array_equal(laid_out.vertices[laid_out.faces], mesh.faces)
     assert laid_out.uvs.min() >= 0
     assert laid_out.uvs.max() <= 1
     assert np.abs(atlases.doubled_areas(texel_corners(laid_out))).min() > 0
-
-
-def test_no_two_triangles_overlap(laid_out):
     assert strictly_covered(texel_corners(laid_out)).max() == 1
 
 
@@ -96,19 +93,7 @@ def test_texels_are_those_that_a_triangle_covers_and_show_its_points(mesh, laid_
     assert np.abs(colors - texels.colors).max() < 0.6
 
 
-def test_charts_lie_three_texels_apart(mesh):
-    atlas = charts(mesh, SIZE)
-    texels = texels_of(mesh, atlas)
-    number, labels = charts_of(atlas)
-    assert number == atlas.num_charts > 1
-    image = np.full((SIZE, SIZE), -1)
-    image.flat[texels.where] = labels[atlas.faces[texels.faces, 0]]
-    high = ndimage.maximum_filter(image, size=3)
-    low = -ndimage.maximum_filter(np.where(image < 0, -number, -image), size=3)
-    assert np.all((low == high) | (high < 0)), "two charts within one texel of another"
-
-
-@pytest.mark.parametrize(("layout", "size"), [(charts, SIZE), (cells, SIZE), (cells, 26 * 4), (cells, 26 * 7 + 3)])
+@pytest.mark.parametrize(("layout", "size"), [(charts, SIZE), (cells, 26 * 4), (cells, 26 * 7 + 3)])
 def test_bilinear_sampling_at_borders_reads_the_inner_colour_alone(mesh, layout, size):
     atlas = layout(mesh, size)
     texels = texels_of(mesh, atlas)
@@ -145,10 +130,6 @@ def test_triangles_without_area_lie_on_a_painted_point(mesh):
     at = np.floor(flat[:, 0]).astype(int)
     near = ndimage.binary_dilation(np.isin(np.arange(SIZE * SIZE), texels.where).reshape(SIZE, SIZE), iterations=2)
     assert near[at[:, 1], at[:, 0]].all()
-    # The first corner's own place, where it is on the surface.
-    places = texel_corners(atlas)[:-5][broken.faces[:-5] == 0]
-    assert np.linalg.norm(places - flat[0, 0], axis=-1).min() < 1e-3
-    assert texels_of(broken, cells(broken, SIZE)).points.shape[1] == 3
 
 
 @pytest.mark.parametrize(

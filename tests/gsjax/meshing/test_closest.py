@@ -24,14 +24,6 @@ def test_distances_are_those_of_a_search_through_all_triangles_in_float64(at):
     np.testing.assert_allclose(expected[np.arange(300), triangles], expected.min(axis=1), atol=1e-6)
 
 
-def test_heights_above_a_plane_keep_seven_digits_of_its_size():
-    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
-    mesh = Mesh(square, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros((4, 3), np.uint8))
-    heights = np.geomspace(1e-6, 1, 50)
-    points, _ = closest_on_mesh(mesh, np.stack([np.full(50, 0.3), np.full(50, 0.6), heights], axis=-1))
-    np.testing.assert_allclose(points, np.tile([0.3, 0.6, 0.0], (50, 1)), atol=1e-7)
-
-
 def test_a_triangle_without_area_spoils_nothing():
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [3, 0, 0], [4, 0, 0], [5, 5, 5]], np.float32)
     mesh = Mesh(corners, np.array([[0, 1, 2], [3, 4, 5], [6, 6, 6]]), np.zeros((7, 3), np.uint8))

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import meshes
 import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
@@ -9,13 +10,11 @@ from small_scenes import camera_at, cloud
 from gsjax.errors import InputError
 from gsjax.meshing import regions
 from gsjax.meshing.extract import extract_mesh, facing_share, orient_outward
-from gsjax.meshing.level_set import level_set_poisson
 from gsjax.meshing.methods import METHODS, MeshMethod, MethodOptions, methods_help, methods_of
 from gsjax.meshing.regions import Box, Region
-from gsjax.meshing.tsdf import LEAST_FACING, tsdf
+from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import depth_normals, smoothed_depth_normals
 from gsjax.rendering.gallery import Picture
-from gsjax.scene.meshes import Mesh, face_normals
 
 FUSION = tsdf(smoothed_depth_normals, voxel=0.06)
 
@@ -48,38 +47,12 @@ def test_fused_surfaces_lie_at_the_depth_and_not_half_a_voxel_beside(ball_on_gro
     assert abs(np.median(mesh.vertices[:, 2]) + 1) < 0.01
 
 
-def test_depth_is_fused_where_it_has_a_normal_that_faces_the_camera(ball):
-    """A plane before a turned camera: no normal on its left half, and seen too flatly in the lower one."""
-    camera = ball.cameras[3]
-    size = camera.height, camera.width
-    colors = np.full((*size, 3), 0.5, np.float32)
-    plane = Picture(colors, np.full(size, 2.5, np.float32), np.ones(size, np.float32))
-    flat = np.array([0, np.sqrt(1 - 0.1**2), -0.1])
-
-    def normals_of(depth, alphas, camera):
-        normals = np.zeros((*size, 3))
-        normals[:, size[1] // 2 :] = [0, 0, -1]
-        normals[size[0] // 2 :, size[1] // 2 :] = flat
-        return normals
-
-    points = tsdf(normals_of)(ball.gaussians, [camera], [plane]).points
-    local = points @ np.asarray(camera.viewmat)[:3, :3].T + np.asarray(camera.viewmat)[:3, 3]
-    pixels = local[:, :2] / local[:, 2:] * np.asarray(camera.K)[[0, 1], [0, 1]] + np.asarray(camera.K)[:2, 2]
-    np.testing.assert_allclose(local[:, 2], 2.5, rtol=1e-5)
-    rows, columns = np.mgrid[: size[0], : size[1]]
-    rays = np.stack([columns + 0.5, rows + 0.5, np.ones(size)], -1) @ np.linalg.inv(np.asarray(camera.K, np.float64)).T
-    facing = -np.sum(rays * normals_of(None, None, None), axis=-1) / np.linalg.norm(rays, axis=-1)
-    is_fused = np.zeros(size, bool)
-    is_fused[np.floor(pixels[:, 1]).astype(int), np.floor(pixels[:, 0]).astype(int)] = True
-    np.testing.assert_array_equal(is_fused, facing > LEAST_FACING)
-    assert 0.2 < is_fused.mean() < 0.3
-
-
-def test_a_depth_without_normals_has_no_surface(ball):
+def test_a_depth_without_normals_and_a_box_with_nothing_in_it_have_no_surface(ball):
     with pytest.raises(InputError, match="no pixel of 10 views has alpha > 0.5 and a normal"):
         extract_mesh(ball.gaussians, *ball.views, method=tsdf(lambda d, a, c: np.zeros((*d.shape, 3))))
-    with pytest.raises(InputError, match="no mesh: there is no camera to look from"):
-        extract_mesh(ball.gaussians, [], [], method=FUSION)
+    nowhere = Box((5, 5, 5), (6, 6, 6))
+    with pytest.raises(InputError, match=r"the box .* holds none of"):
+        extract_mesh(ball.gaussians, *ball.views, method=FUSION, regions=lambda _: regions.fixed_boxes(nowhere))
 
 
 def test_a_view_of_a_pixel_or_two_is_left_out(ball):
@@ -104,23 +77,13 @@ def test_a_grid_that_no_machine_holds_is_refused():
 
 
 def test_faces_that_look_away_from_the_views_are_turned_about(ball):
-    mesh, _ = extract_mesh(ball.gaussians, *ball.views, method=level_set_poisson())
-    inside_out = Mesh(mesh.vertices, mesh.faces[:, ::-1].copy(), mesh.colors)
+    mesh = meshes.ball(3)
     assert facing_share(mesh, ball.cameras) == 1
-    assert facing_share(inside_out, ball.cameras) == 0
-    turned, share = orient_outward(inside_out, ball.cameras)
+    assert facing_share(meshes.turned(mesh), ball.cameras) == 0
+    outward, share = orient_outward(meshes.turned(mesh), ball.cameras)
     assert share == 1
-    np.testing.assert_allclose(face_normals(turned), face_normals(mesh), atol=1e-12)
-    nowhere = Mesh(mesh.vertices + np.float32(100), mesh.faces, mesh.colors)
-    assert facing_share(nowhere, ball.cameras) == 1
-
-
-def test_a_box_with_nothing_in_it_is_one_line(ball):
-    nowhere = Box((5, 5, 5), (6, 6, 6))
-    with pytest.raises(InputError, match=r"the box .* holds none of"):
-        extract_mesh(
-            ball.gaussians, *ball.views, method=FUSION, regions=partial(lambda _: regions.fixed_boxes(nowhere))
-        )
+    np.testing.assert_array_equal(outward.faces, mesh.faces)
+    assert facing_share(meshes.ball(3, center=(100, 100, 100)), ball.cameras) == 1, "no ray meets it"
 
 
 def test_one_entry_registers_a_method_for_its_name_the_help_and_auto(monkeypatch):
@@ -146,7 +109,6 @@ def test_auto_tries_the_methods_that_read_the_options(options, candidates):
     [
         ("auto", {"cell": 0.1, "level": 0.2}, "no method reads --cell and --level together"),
         ("poisson", {"cell": 0.1}, "--cell is an option of the method tsdf; poisson does not read it"),
-        ("tsdf", {"level": 0.1}, "--level is an option of the method poisson; tsdf does not read it"),
         (
             partial(extract_mesh),
             {"trim_quantile": 0.1},

@@ -1,7 +1,8 @@
 import jax.numpy as jnp
+import meshes
 import numpy as np
 import pytest
-from meshes import ball, mesh_of
+from meshes import ball, turned
 
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.cleaning import concatenate_meshes
@@ -22,11 +23,9 @@ K = np.array([[40.0, 0, 17], [0, 50.0, 14], [0, 0, 1]])
 WIDTH, HEIGHT = 36, 30
 
 
-def square(z, half=0.49, turned=False, colors=(200, 100, 50)):
-    """A square at camera z that faces the camera (towards -z), or away from it."""
-    vertices = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]], np.float32)
-    faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
-    return Mesh(vertices, faces[:, ::-1].copy() if turned else faces, np.tile(np.uint8([colors]), (4, 1)))
+def square(z, half=0.49):
+    """A square at camera z that faces the camera (towards -z)."""
+    return turned(meshes.square(1, -half, half, height=z, color=(200, 100, 50)))
 
 
 def covered(z, half=0.49):
@@ -35,51 +34,36 @@ def covered(z, half=0.49):
     return (np.abs(x) < half) & (np.abs(y) < half)
 
 
-def test_a_square_covers_its_pixels_at_its_depth():
-    depth = depth_of_mesh(square(2.0), np.eye(4), K, WIDTH, HEIGHT)
-    np.testing.assert_array_equal(depth > 0, covered(2.0))
-    np.testing.assert_allclose(depth[depth > 0], 2.0, rtol=1e-6)
-    assert depth.dtype == np.float32
-
-
 def test_colours_are_interpolated_between_vertices():
     mesh = square(2.0)
-    ramp = Mesh(mesh.vertices, mesh.faces, np.uint8([[0, 0, 0], [200, 0, 0], [200, 0, 0], [0, 0, 0]]))
+    ramp = Mesh(mesh.vertices, mesh.faces, np.uint8([[0, 0, 0], [200, 0, 0], [0, 0, 0], [200, 0, 0]]))
     picture = render_mesh(ramp, np.eye(4), K, WIDTH, HEIGHT)
     columns = np.flatnonzero(covered(2.0).any(axis=0))
     expected = ((columns + 0.5 - 17) / 40 * 2.0 + 0.49) / 0.98 * 200
     np.testing.assert_allclose(picture[14, columns, 0], expected, atol=1)
 
 
-def test_the_nearer_of_two_is_seen():
-    near, far = square(1.5, half=0.2), square(3.0, half=1.0, colors=(0, 0, 255))
+def test_a_square_covers_its_pixels_at_its_depth_and_the_nearer_of_two_is_seen():
+    near, far = square(1.5, half=0.2), square(3.0, half=1.0)
     both = concatenate_meshes([near, far])
     depth = depth_of_mesh(both, np.eye(4), K, WIDTH, HEIGHT)
+    np.testing.assert_array_equal(depth > 0, covered(3.0, 1.0))
     np.testing.assert_allclose(depth[covered(1.5, 0.2)], 1.5, rtol=1e-6)
     np.testing.assert_allclose(depth[covered(3.0, 1.0) & ~covered(1.5, 0.2)], 3.0, rtol=1e-6)
 
 
 def test_back_faces_are_dark_red_in_every_shading():
     for shading in (vertex_colors, normal_colors, headlight):
-        picture = render_mesh(square(2.0, turned=True), np.eye(4), K, WIDTH, HEIGHT, shading=shading)
+        picture = render_mesh(turned(square(2.0)), np.eye(4), K, WIDTH, HEIGHT, shading=shading)
         assert np.all(picture[covered(2.0)] == [115, 0, 0])
 
 
-def test_a_facing_square_has_the_facing_normals_colour_from_any_pose():
-    turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+def test_sphere_normals_against_the_closed_form_from_any_pose():
     viewmat = np.eye(4)
-    viewmat[:3, :3], viewmat[:3, 3] = turn, [0.1, 0.2, 0.3]
-    mesh = square(2.0)
-    # Move it so that the turned camera sees what the first one saw.
-    world = ((mesh.vertices - viewmat[:3, 3]) @ viewmat[:3, :3]).astype(np.float32)
-    picture = render_mesh(Mesh(world, mesh.faces, mesh.colors), viewmat, K, WIDTH, HEIGHT, shading=normal_colors)
-    assert np.all(picture[covered(2.0)] == [128, 128, 255])
-
-
-def test_sphere_normals_against_the_closed_form():
-    mesh = ball(4, center=(0, 0, 4))
-    picture = render_mesh(mesh, np.eye(4), K, WIDTH, HEIGHT, shading=normal_colors).astype(float)
-    depth = depth_of_mesh(mesh, np.eye(4), K, WIDTH, HEIGHT)
+    viewmat[:3, :3], viewmat[:3, 3] = [[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.1, 0.2, 0.3]
+    mesh = ball(4, center=viewmat[:3, :3].T @ ([0, 0, 4] - viewmat[:3, 3]))
+    picture = render_mesh(mesh, viewmat, K, WIDTH, HEIGHT, shading=normal_colors).astype(float)
+    depth = depth_of_mesh(mesh, viewmat, K, WIDTH, HEIGHT)
     rows, columns = np.nonzero(depth)
     points = (
         np.stack([(columns + 0.5 - 17) / 40, (rows + 0.5 - 14) / 50, np.ones(len(rows))], -1)
@@ -103,14 +87,6 @@ def test_smooth_pictures_mix_edges_by_the_share_that_is_covered():
     np.testing.assert_allclose(picture.depth, np.where(share > 0, 2, 0), atol=1e-5)
 
 
-def test_smooth_pictures_show_a_mesh_from_outside_alone():
-    near, far = square(1.5, half=0.2, turned=True), square(2.0, colors=(0, 0, 255))
-    both = concatenate_meshes([near, far])
-    (picture,) = smooth_pictures(both, [Camera(jnp.eye(4), jnp.asarray(K, jnp.float32), WIDTH, HEIGHT)])
-    np.testing.assert_allclose(picture.colors[14, 17], [0, 0, 1], atol=1e-6)
-    np.testing.assert_allclose(picture.depth[14, 17], 2, atol=1e-3)
-
-
 def test_rays_pass_back_faces_and_stop_at_the_first_front_face():
     """Four sheets in a row, facing away, away, towards, towards: the third is met; from behind, the second."""
     sheets = [np.array([[-1, -1, z], [1, -1, z], [0, 2, z]], np.float32) for z in (1.0, 2.0, 3.0, 4.0)]
@@ -127,9 +103,8 @@ def test_rays_pass_back_faces_and_stop_at_the_first_front_face():
 
 
 def test_a_texture_is_drawn_where_its_places_say():
-    vertices = np.array([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], np.float32)
-    mesh = mesh_of(vertices, [[0, 2, 1], [0, 3, 2]])
-    uvs = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)  # y down, as the camera's
+    mesh = square(2.0, half=1.0)
+    uvs = (mesh.vertices[:, :2] + 1) / 2  # y down, as the camera's
     rng = np.random.default_rng(0)
     texture = rng.integers(0, 256, (8, 8, 3), dtype=np.uint8)
     textured = TexturedMesh(mesh, Atlas(uvs, np.arange(4, dtype=np.int32), mesh.faces, 8, 1), texture)

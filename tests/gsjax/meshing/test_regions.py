@@ -10,7 +10,7 @@ UNIT = Box((-1, -1, -1), (1, 1, 1))
 
 @pytest.mark.parametrize(
     ("low", "high"),
-    [((1, 0, 0), (0, 1, 1)), ((0, 0), (1, 1)), ((0, 0, 0), (1, 1, 0)), ((0, 0, np.nan), (1, 1, 1))],
+    [((1, 0, 0), (0, 1, 1)), ((0, 0), (1, 1)), ((0, 0, np.nan), (1, 1, 1))],
 )
 def test_a_box_that_is_none_is_one_line(low, high):
     with pytest.raises(InputError, match="min below its max") as caught:
@@ -40,15 +40,11 @@ def test_points_in_a_plane_or_in_one_place_have_a_box():
     assert regions.robust_box(np.full((5, 3), 7.0)).contains(np.full((1, 3), 7.0)).all()
 
 
-def test_an_even_spread_is_one_region_with_nearly_all_of_it():
-    points = np.random.default_rng(0).uniform([-1, -2, 0], [1, 2, 0.5], (10_000, 3))
-    boxes = regions.near_and_far(points)
-    assert set(boxes) == {"foreground"}
-    assert boxes["foreground"].contains(points).all()
-
-
-def test_a_long_tail_is_a_background_of_its_own():
+def test_an_even_spread_is_one_region_and_a_long_tail_a_background_of_its_own():
     rng = np.random.default_rng(0)
+    even = rng.uniform([-1, -2, 0], [1, 2, 0.5], (10_000, 3))
+    boxes = regions.near_and_far(even)
+    assert set(boxes) == {"foreground"} and boxes["foreground"].contains(even).all()
     near, far = rng.uniform(-1, 1, (9_000, 3)), rng.uniform(-4, 4, (1_000, 3))
     points = np.concatenate([near, far])
     boxes = regions.near_and_far(points)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import jax.numpy as jnp
+import meshes
 import numpy as np
 import pytest
 
@@ -12,16 +13,14 @@ from gsjax.meshing.sharpening import sharpened
 from gsjax.meshing.texture import texture_mesh
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
-from gsjax.scene.meshes import Mesh
 
 PIXELS, TEXELS, FOCAL, AWAY = 40, 80, 40.0, 1.0  # The square of side 1 fills the image: a pixel has two texels a side.
 WAVES = 8  # across the square: five pixels each
 
 
 def square() -> TexturedMesh:
-    corners = np.float32([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]])
-    mesh = Mesh(corners, np.int32([[0, 2, 1], [0, 3, 2]]), np.zeros((4, 3), np.uint8))
-    atlas = Atlas(corners[:, :2] + 0.5, np.arange(4, dtype=np.int32), mesh.faces, TEXELS, 1)
+    mesh = meshes.turned(meshes.square(1, -0.5, 0.5))
+    atlas = Atlas(mesh.vertices[:, :2] + 0.5, np.arange(4, dtype=np.int32), mesh.faces, TEXELS, 1)
     return TexturedMesh(mesh, atlas, np.zeros((TEXELS, TEXELS, 3), np.uint8))
 
 
@@ -76,12 +75,3 @@ def test_pixels_that_say_nothing_change_nothing():
         np.testing.assert_array_equal(sharpened(grey, [view()], [nothing]).texture, grey.texture)
     away = replace(view(), viewmat=view().viewmat.at[2, 3].set(-AWAY))  # The square lies behind it.
     np.testing.assert_array_equal(sharpened(grey, [away], [photo(white)]).texture, grey.texture)
-
-
-def test_what_shines_through_a_thin_wall_is_its_own_colour_where_the_background_is_known():
-    white = photo(np.zeros((PIXELS, PIXELS, 3)), 0.6)  # 0.6 of black Gaussians before white: 0.4 is seen.
-    inner = slice(8, -8)
-    start = painted(np.zeros((TEXELS, TEXELS, 3)))
-    for background, expected in ((np.ones(3, np.float32), 0.4), (None, 0.0)):
-        result = sharpened(sharpened(start, [view()], [white], background), [view()], [white], background)
-        np.testing.assert_allclose(result.texture[inner, inner] / 255, expected, atol=0.01)

@@ -1,7 +1,6 @@
 """How many pixels see a triangle, against the rays of the pixels, and how large a texture that makes."""
 
 import numpy as np
-import pytest
 from meshes import mesh_of, square
 from tolerances import assert_close
 
@@ -15,12 +14,12 @@ BOUNDS = {"least": 64, "most": 4096}
 FILLED, STEP = 0.5, 256  # charts fill half of a square, whose side is a multiple of 256 texels
 
 
-def camera(distance: float, turn: float = 0.0, size: float = 1.0, behind: bool = False) -> Camera:
+def camera(distance: float, turn: float = 0.0, size: float = 1.0) -> Camera:
     """Looks from z = distance at the origin, turned by an angle about the y axis; `size` times as many pixels."""
     c, s = np.cos(turn), np.sin(turn)
     viewmat = np.eye(4, dtype=np.float32)
     viewmat[:3, :3] = np.diag([1, -1, -1]) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-    viewmat[2, 3] = -distance if behind else distance
+    viewmat[2, 3] = distance
     K = np.array([[FOCAL * size, 0, WIDTH * size / 2], [0, 1.2 * FOCAL * size, HEIGHT * size / 2], [0, 0, 1]])
     return Camera(viewmat, K.astype(np.float32), round(WIDTH * size), round(HEIGHT * size))
 
@@ -30,9 +29,8 @@ def plane(per_side: int) -> Mesh:
     return square(per_side, -1.0, 1.0)
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.5, 1.1])
-def test_pixels_of_a_plane_are_those_whose_rays_meet_it(turn):
-    wall, view = plane(40), camera(4.0, turn)
+def test_pixels_of_a_plane_are_those_whose_rays_meet_it():
+    wall, view = plane(40), camera(4.0, 1.1)
     met = np.count_nonzero(depth_of_mesh(wall, view.viewmat, view.K, view.width, view.height))
     assert_close(pixels_of_faces(wall, view).sum(), met, rtol=0.01, why="the plane's outline is 500 pixels long")
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from meshes import mesh_of
 
-from gsjax.errors import NoSurfaceError
 from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.regions import Box
-from gsjax.meshing.select_method import by_tracks, select_method
 from gsjax.meshing.track_visibility import SAME_SURFACE, track_rays, track_visibility
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
 
@@ -77,17 +75,3 @@ def test_what_lies_within_the_tolerance_is_met(lines):
     assert 0 < len(there) < len(lines)
     assert track_visibility(wall(lump=near, moved=near), there).met == 1
     assert track_visibility(wall(), there).met == 0
-
-
-def test_the_whole_wall_is_chosen_and_a_method_without_surface_passed_by(lines):
-    def empty():
-        raise NoSurfaceError("nothing")
-
-    ways = {"lumps": wall(moved=0.0), "whole": rectangle((-4, 4), AWAY), "part": wall()}
-    candidates = {name: lambda m=mesh: m for name, mesh in ways.items()}
-    choice = select_method({"empty": empty} | candidates, by_tracks(lines))
-    assert choice.method == "whole"
-    assert list(choice.judgements) == ["lumps", "whole", "part"]
-    assert choice.judgements["whole"]["met"] == 1 > choice.judgements["lumps"]["met"] > choice.judgements["part"]["met"]
-    with pytest.raises(NoSurfaceError, match="nothing"):
-        select_method({"empty": empty}, by_tracks(lines))

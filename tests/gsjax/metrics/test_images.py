@@ -39,28 +39,18 @@ def as_float32(*arrays):
     return tuple(jnp.asarray(a, jnp.float32) for a in arrays)
 
 
-def test_ssim_map_equals_the_textbook_form(images):
+def test_ssim_is_the_mean_of_the_textbook_form_also_of_images_smaller_than_its_window(images):
     np.testing.assert_allclose(ssim_map(*as_float32(*images)), ssim_oracle(*images), atol=2e-5)
-
-
-def test_ssim_is_the_mean_of_its_map(images):
     np.testing.assert_allclose(ssim(*as_float32(*images)), ssim_oracle(*images).mean(), rtol=1e-5)
+    smaller = np.full((1, 2, 3), 0.4), np.full((1, 2, 3), 0.6)
+    np.testing.assert_allclose(ssim_map(*as_float32(*smaller)), ssim_oracle(*smaller), rtol=1e-4)
 
 
 def test_masked_ssim_reads_masked_pixels_as_zero_and_averages_the_rest(images):
     image, target = images
     mask = np.random.default_rng(0).random(image.shape[:2]) > 0.3
     expected = ssim_oracle(image * mask[..., None], target * mask[..., None])[mask].mean()
-    got = ssim(*as_float32(image, target), jnp.asarray(mask))
-    np.testing.assert_allclose(got, expected, rtol=1e-5)
-
-
-def test_masked_border_equals_the_true_border(images):
-    image, target = as_float32(*images)
-    mask = np.zeros(image.shape[:2], bool)
-    mask[5:30, 7:40] = True
-    inner = ssim(image[5:30, 7:40], target[5:30, 7:40])
-    np.testing.assert_allclose(ssim(image, target, jnp.asarray(mask)), inner, rtol=1e-5)
+    np.testing.assert_allclose(ssim(*as_float32(image, target), jnp.asarray(mask)), expected, rtol=1e-5)
 
 
 def test_masked_pixels_cannot_matter_even_when_not_finite(images):
@@ -75,16 +65,14 @@ def test_masked_pixels_cannot_matter_even_when_not_finite(images):
 
 def test_psnr_equals_3dgs_formula(images):
     image, target = images
-    expected = 20 * np.log10(1 / np.sqrt(np.mean((image - target) ** 2)))
-    np.testing.assert_allclose(psnr(*as_float32(image, target)), expected, rtol=1e-6)
-    mask = np.random.default_rng(1).random(image.shape[:2]) > 0.5
-    expected = 20 * np.log10(1 / np.sqrt(np.mean((image - target)[mask] ** 2)))
-    np.testing.assert_allclose(psnr(*as_float32(image, target), jnp.asarray(mask)), expected, rtol=1e-6)
+    for mask in (np.ones(image.shape[:2], bool), np.random.default_rng(1).random(image.shape[:2]) > 0.5):
+        expected = 20 * np.log10(1 / np.sqrt(np.mean((image - target)[mask] ** 2)))
+        np.testing.assert_allclose(psnr(*as_float32(image, target), jnp.asarray(mask)), expected, rtol=1e-6)
+    assert psnr(*as_float32(target, target)) == jnp.inf
 
 
 def test_equal_images(images):
     _, target = as_float32(*images)
-    assert psnr(target, target) == jnp.inf
     np.testing.assert_allclose(ssim(target, target), 1.0, atol=1e-6)
     gradient = jax.grad(ssim)(target, target)  # a maximum
     np.testing.assert_allclose(gradient, np.zeros_like(gradient), atol=1e-7)
@@ -104,11 +92,6 @@ def test_ssim_gradient_equals_central_differences(images, argument):
                 moved[argument] = moved[argument] + step * direction
                 ends.append(float(ssim(*moved)))
             np.testing.assert_allclose(np.sum(gradient * direction), (ends[0] - ends[1]) / 2e-5, rtol=1e-6)
-
-
-def test_image_smaller_than_the_window():
-    image, target = np.full((1, 2, 3), 0.4), np.full((1, 2, 3), 0.6)
-    np.testing.assert_allclose(ssim_map(*as_float32(image, target)), ssim_oracle(image, target), rtol=1e-4)
 
 
 @pytest.mark.parametrize("measure", [psnr, ssim])

@@ -1,7 +1,11 @@
 """A mesh in photos beside the Gaussians that it came from: closed forms on one square."""
 
+from dataclasses import replace
+
+import meshes
 import numpy as np
 import pytest
+from meshes import turned
 from small_scenes import discs
 
 from gsjax.effects.appearance import Appearance
@@ -19,14 +23,13 @@ GREY = 153  # 0.6 of the full range
 
 def square(z: float) -> Mesh:
     """Faces the camera and covers 24 pixels along and 20 down, and half of one more on either side."""
-    x, y = 12.5 * z / 40, 10.5 * z / 40
-    corners = np.float32([[-x, -y, z], [x, -y, z], [x, y, z], [-x, y, z]])
-    return Mesh(corners, np.int32([[0, 2, 1], [0, 3, 2]]), np.full((4, 3), GREY, np.uint8))
+    unit = turned(meshes.square(1, -1, 1, color=(GREY, GREY, GREY)))
+    return replace(unit, vertices=unit.vertices * np.float32([12.5 * z / 40, 10.5 * z / 40, 0]) + np.float32([0, 0, z]))
 
 
-def photo(name: str = "held.png", *, level: float = 0.5, valid: np.ndarray | None = None):
+def photo(*, level: float = 0.5, valid: np.ndarray | None = None):
     image = np.full((HEIGHT, WIDTH, 3), round(level * 255), np.uint8)
-    return frame_of(name, np.eye(4, dtype=np.float32), K, Pixels(image, valid=valid), held_out=True)
+    return frame_of("held.png", np.eye(4, dtype=np.float32), K, Pixels(image, valid=valid), held_out=True)
 
 
 @pytest.fixture
@@ -39,22 +42,14 @@ def decibels(difference: float) -> float:
     return -20 * np.log10(abs(difference))
 
 
-def test_both_are_scored_at_the_pixels_that_the_mesh_covers(nothing):
-    scores = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", PhotoEffects())
+@pytest.mark.parametrize("valid", [None, np.tile(np.uint8([255] * (WIDTH // 2) + [0] * (WIDTH // 2)), (HEIGHT, 1))])
+def test_both_are_scored_at_the_pixels_that_the_mesh_covers_and_no_mask(nothing, valid):
+    scores = score_appearance(square(2.0), vertex_colors, nothing, (photo(valid=valid),), "black", PhotoEffects())
     level = round(0.5 * 255) / 255
     assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - level), abs=1e-3)
     assert scores["covered_psnr"] == pytest.approx(decibels(level), abs=1e-3), "black where there are no Gaussians"
     assert scores["mesh_covers"] == pytest.approx(24 * 20 / (HEIGHT * WIDTH)), "half-covered pixels do not count"
     assert scores["mesh_ssim"] > scores["covered_ssim"]
-
-
-def test_what_is_masked_in_a_photo_is_neither_covered_nor_left_open(nothing):
-    valid = np.zeros((HEIGHT, WIDTH), np.uint8)
-    valid[:, : WIDTH // 2] = 255
-    frame = photo(valid=valid)
-    scores = score_appearance(square(2.0), vertex_colors, nothing, (frame,), "black", PhotoEffects())
-    assert scores["mesh_covers"] == pytest.approx(12 * 20 / (HEIGHT * WIDTH / 2))
-    assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - round(0.5 * 255) / 255), abs=1e-3)
 
 
 def test_a_matte_has_the_same_background_for_both(nothing):
@@ -68,14 +63,8 @@ def test_a_matte_has_the_same_background_for_both(nothing):
 
 def test_a_photo_is_compared_as_those_near_it_are_exposed(nothing):
     near = {"held.png": Appearance(log_gains=(np.log(0.5),) * 3, falloff=(0.0, 0.0))}
-    scores = score_appearance(
-        square(2.0),
-        vertex_colors,
-        nothing,
-        (photo(level=0.3),),
-        "black",
-        PhotoEffects(near_appearances=near, appearances=near),
-    )
+    effects = PhotoEffects(near_appearances=near, appearances=near)
+    scores = score_appearance(square(2.0), vertex_colors, nothing, (photo(level=0.3),), "black", effects)
     names = {
         f"{of}_{score}{way}" for of in ("mesh", "covered") for score in ("psnr", "ssim") for way in ("", "_near_gains")
     }
@@ -84,9 +73,8 @@ def test_a_photo_is_compared_as_those_near_it_are_exposed(nothing):
 
 
 def test_photos_that_do_not_show_the_mesh_say_nothing(nothing):
-    away = photo("away.png")
-    turned = np.diag(np.float32([-1, 1, -1, 1]))
-    away = frame_of("away.png", turned, K, away.pixels(), held_out=True)
+    behind = np.diag(np.float32([-1, 1, -1, 1]))
+    away = frame_of("away.png", behind, K, photo().pixels(), held_out=True)
     both = score_appearance(square(2.0), vertex_colors, nothing, (photo(), away), "black", PhotoEffects())
     one = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", PhotoEffects())
     assert both == {**one, "mesh_covers": pytest.approx(one["mesh_covers"] / 2)}

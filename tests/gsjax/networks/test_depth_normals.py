@@ -1,6 +1,7 @@
 """Normals of networks for depth, through a graph that gives a photo's red and green as 16 bits of disparity."""
 
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -96,7 +97,7 @@ def test_planes_and_balls_have_their_normals_and_edges_have_none(tmp_path):
     assert np.median(angles(normals[has_normal & on_ball], ball_normals[has_normal & on_ball])) < 5.0
 
 
-def test_photos_that_the_network_gets_wrong_are_named_and_empty(tmp_path, monkeypatch):
+def test_photos_that_the_network_gets_wrong_are_named_and_empty_and_without_tracks_none_is_told(tmp_path, monkeypatch):
     monkeypatch.setitem(pipeline.normals.__globals__, "tqdm", partial(tqdm, disable=True))
     depth = plane()[0]
     noise = 1 / (0.2 + 0.3 * np.random.default_rng(0).random(depth.shape))
@@ -109,12 +110,8 @@ def test_photos_that_the_network_gets_wrong_are_named_and_empty(tmp_path, monkey
     assert report["fit"].startswith("0.0 % off the tracks' depth, explains 1.00")
     coverage = [np.any(read(), -1).mean() for read in normal_maps(tmp_path / "maps", scene.frames).values()]
     assert coverage[0] > 0.99 and coverage[1:] == [0, 0]
-
-
-def test_a_scene_without_tracks_is_refused(tmp_path):
-    scene = Scene(tmp_path, "transforms", (), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     with pytest.raises(InputError, match="has no tracks of structure from motion, which tell scale and shift"):
-        DepthNormals(DepthEstimator(RECORD, network(tmp_path / "w.onnx")), scene)
+        DepthNormals(DepthEstimator(RECORD, network(tmp_path / "w.onnx")), replace(scene, tracks=None))
 
 
 def test_a_fit_says_why_it_must_not_be_used():

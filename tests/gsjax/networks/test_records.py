@@ -9,7 +9,6 @@ from gsjax.networks.records import (
     canvas_fit,
     decode_normals,
     expected_error_degrees,
-    input_intrinsics,
     is_reliable,
     normalize_picture,
 )
@@ -24,10 +23,8 @@ PADDED, LONGEST = Size("multiple", multiple=32), Size("multiple", multiple=28, l
         (FIXED, (768, 512), (None, None), ((384, 384), 64, 0, 256, 384)),
         (FIXED, (100, 200), (None, None), ((384, 384), 0, 96, 384, 192)),
         (TOKENS, (1600, 1067), (None, None), ((490, 728), 0, 0, 490, 728)),
-        (PADDED, (640, 480), (None, None), ((480, 640), 0, 0, 480, 640)),
         (PADDED, (641, 479), (None, None), ((480, 672), 0, 15, 479, 641)),
         (LONGEST, (1600, 900), (None, None), ((616, 1064), 9, 0, 598, 1064)),
-        (LONGEST, (270, 480), (None, None), ((1064, 616), 0, 9, 1064, 598)),
         (PADDED, (640, 480), (240, 320), ((240, 320), 0, 0, 240, 320)),
         (PADDED, (640, 480), (None, 1280), ((480, 1280), 0, 320, 480, 640)),
         (Size("multiple", multiple=14, fit="stretch"), (100, 50), (None, None), ((56, 98), 0, 0, 56, 98)),
@@ -38,19 +35,7 @@ def test_where_a_photo_goes(size, photo, fixed, expected):
     assert tuple(canvas_fit(size, *photo, fixed)) == expected
 
 
-def test_intrinsics_take_a_point_where_the_photo_is_in_the_input():
-    K = np.array([[500.0, 0, 310], [0, 480, 245], [0, 0, 1]], np.float32)
-    place = canvas_fit(FIXED, 640, 480)
-    moved = input_intrinsics(K, 640, 480, place, 0.5)
-    for point in np.array([[0.1, -0.2, 1], [-0.4, 0.3, 1]]):
-        x, y, _ = K @ point
-        expected = [x * place.width / 640 + place.left, y * place.height / 480 + place.top]
-        np.testing.assert_allclose((moved @ point)[:2], expected, rtol=1e-6)
-    earlier = input_intrinsics(K, 640, 480, place, 0.0)
-    np.testing.assert_allclose(moved - earlier, [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], atol=1e-4)
-
-
-@pytest.mark.parametrize("kappa", [0.0, 0.3, 1.0, 4.0, 30.0])
+@pytest.mark.parametrize("kappa", [0.0, 1.0, 30.0])
 def test_expected_errors_are_the_mean_angles_of_the_distribution(kappa):
     """Density on the sphere proportional to exp(-kappa angle), integrated."""
     mass, _ = quad(lambda t: np.exp(-kappa * t) * np.sin(t), 0, np.pi)

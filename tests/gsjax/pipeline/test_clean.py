@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from run_folders import write_run
 from small_scenes import camera_at, discs
 from tolerances import assert_close
 
@@ -13,8 +14,6 @@ from gsjax.io import json_files
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.clean import clean, undo
-from gsjax.runs.result import write_views
-from gsjax.scene import Pixels, frame_of
 
 RADIUS, RING = 1.0, 4.0
 EYES = [RING * np.array([np.cos(a), np.sin(a), 0.2]) for a in 2 * np.pi * np.arange(6) / 6]
@@ -45,16 +44,9 @@ def planted():
 @pytest.fixture
 def run(tmp_path):
     """A run of what is planted, seen from six sides."""
-    image = np.zeros((40, 48, 3), np.uint8)
     cameras = [camera_at(eye, (0.0, 0.0, 0.0), size=(48, 40), focal=50.0) for eye in EYES]
-    frames = tuple(
-        frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(cameras)
-    )
-    json_files.write(tmp_path / "config.json", {"model": {"background": "white"}})
     json_files.write(tmp_path / "manifest.json", {"scene": "gone", "status": "done"})
-    write_gaussians(tmp_path / "gaussians.ply", planted()[0])
-    write_views(tmp_path, frames)
-    return tmp_path
+    return write_run(tmp_path, planted()[0], cameras)
 
 
 def test_planted_dirt_is_found_by_its_kind_nothing_else_is_and_all_of_it_comes_back(run):

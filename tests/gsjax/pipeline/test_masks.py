@@ -80,7 +80,7 @@ def read_mask(file: Path) -> np.ndarray:
     return np.asarray(Image.open(file))
 
 
-@pytest.mark.parametrize("kind", ["scores", "channels last", "half", "labels", "probability"])
+@pytest.mark.parametrize("kind", ["channels last", "half", "labels", "probability"])
 def test_what_a_class_covers_is_zero_and_all_else_counts(tmp_path, kind):
     photos = write_photos(tmp_path / "photos")
     name = kind if kind in ("labels", "probability") else "scores"
@@ -111,20 +111,16 @@ def test_a_turned_photo_is_shown_upright_and_its_mask_lies_as_the_file_does(tmp_
 
 
 def test_sfm_finds_no_features_where_the_mask_is_zero(tmp_path):
-    photos = tmp_path / "photos"
-    photos.mkdir()
-    noise = np.random.default_rng(0).integers(0, 255, (60, 90, 3)).astype(np.uint8)
-    large = np.kron(noise[:10, :15], np.ones((12, 12, 1), np.uint8))
+    noise = np.random.default_rng(0).integers(0, 255, (10, 15, 3)).astype(np.uint8)
+    large = np.kron(noise, np.ones((12, 12, 1), np.uint8))
+    (tmp_path / "masks").mkdir()
     for name in "ab":
-        Image.fromarray(large).save(photos / f"{name}.png")
-    mask = np.full(large.shape[:2], 255, np.uint8)
-    mask[:, :90] = 0
-    (photos / "masks").mkdir()
-    Image.fromarray(mask).save(photos / "masks/a.png")
-    masked, whole = features.find_features(list_source_photos(photos), partial(tqdm, disable=True))
+        Image.fromarray(large).save(tmp_path / f"{name}.png")
+    mask = np.where(np.arange(180) < 90, np.uint8(0), np.uint8(255)) * np.ones((120, 1), np.uint8)
+    Image.fromarray(mask).save(tmp_path / "masks/a.png")
+    masked, whole = features.find_features(list_source_photos(tmp_path), partial(tqdm, disable=True))
     assert (whole.xy[:, 0] < 88).sum() > 20
-    assert len(masked.xy) > 20
-    assert (masked.xy[:, 0] >= 88).all()
+    assert len(masked.xy) > 20 and (masked.xy[:, 0] >= 88).all()
 
 
 @pytest.mark.parametrize("network", MASK_NETWORKS)
@@ -152,10 +148,8 @@ def test_every_known_network_is_fed_and_read_as_its_record_says(tmp_path, networ
 REFUSED = {
     "unknown class": ({}, ["dog"], r"--classes dog: the network knows person, tree, sky"),
     "no class": ({}, None, r"--classes: the network knows person, tree, sky; name those to mask out"),
-    "every class": ({}, CLASSES, r"--classes person,tree,sky: must be some of person, tree, sky, and not all"),
     "four classes": ({"classes": [*CLASSES, "car"]}, ["car"], r"gives \[1, 3, 40, 60\], not a score for each of 4"),
     "two of one name": ({"classes": ["sky", "sky"]}, ["sky"], r"r.json: classes=sky, sky are none, or one .* twice"),
-    "a probability of three": ({"kind": "probability"}, ["sky"], r"r.json: a probability is of one class, not of 3"),
     "labels of three channels": ({"kind": "labels"}, ["sky"], r"gives \[1, 3, 40, 60\] .* not a class, one value"),
     "no such output": ({"output": {"names": ["mask"]}}, ["sky"], r"w.onnx: gives no classes \(mask\); .* scores"),
 }

@@ -116,12 +116,10 @@ def test_every_known_network_is_fed_and_read_as_its_contract_says(tmp_path, netw
     ("shape", "dtype", "changes"),
     [
         (ANY, np.float16, {}),
-        ((1, "h", "w", 3), np.float32, {"layout": "NHWC"}),
         ((1, "h", "w", 3), np.float32, {"layout": "NCHW"}),
         ((1, "h", "w", "c"), np.float32, {"layout": "NHWC"}),
         ((1, 3, 28, 70), np.float32, {}),
         ((1, 3, 64, 64), np.float32, {"size": {"rule": "fixed", "sides": [384, 384], "border": "reflect"}}),
-        ((1, 3, 64, 64), np.float32, {"size": {"rule": "multiple", "fit": "stretch"}}),
         (ANY, np.float32, {"size": {"rule": "multiple", "multiple": 7, "longest": 90, "border": [255, 0, 9]}}),
         (ANY, np.float32, {"size": {"rule": "multiple", "multiple": 16, "fit": "stretch"}}),
         (ANY, np.float32, {"axes": "+x-y-z", "normals": {"place": 0}}),
@@ -137,8 +135,7 @@ def test_a_record_of_ones_own_in_any_layout_size_and_precision(tmp_path, shape, 
         assert angles(normals, ball()).mean() < (1.5 if 28 in shape or 64 in shape else 0.8)
 
 
-@pytest.mark.parametrize("kind", ["probability", "kappa"])
-def test_what_the_network_rejects_is_exactly_zero_and_may_be_anything(tmp_path, kind):
+def test_what_the_network_rejects_is_exactly_zero_and_may_be_anything(tmp_path):
     photo = as_photo(ball())
     photo[:, :20] = 255  # Rejected below, where every component would be infinite.
     scene = write_scene(tmp_path / "scene", photos={f"images/{n}.png": photo for n in "ab"})
@@ -148,10 +145,8 @@ def test_what_the_network_rejects_is_exactly_zero_and_may_be_anything(tmp_path, 
     rejected = graph.add("Cast", white, to=1)
     infinite = graph.add("Div", rejected, graph.add("Sub", one, rejected))
     graph.output(graph.add("Add", graph.affine(image, 2.0, -1.0), infinite), "normal")
-    graph.output(
-        graph.add("Sub", graph.constant(1.0 if kind == "probability" else 3.0), rejected), "sure"
-    )  # Kappa 3 or 2: 34 or 46 degrees.
-    confidence = {"names": ["sure"], "kind": kind, "bound": 0.5 if kind == "probability" else 40}
+    graph.output(graph.add("Sub", graph.constant(3.0), rejected), "sure")  # Kappa 3 or 2: 34 or 46 degrees.
+    confidence = {"names": ["sure"], "kind": "kappa", "bound": 40}
     record = write_record(tmp_path / "r.json", confidence=confidence)
     pipeline.normals(scene, record, graph.save(tmp_path / "w.onnx"), tmp_path / "maps")
     for file in (tmp_path / "maps").glob("*.npz"):
@@ -185,11 +180,6 @@ def test_a_lens_is_taken_out_before_the_network_sees_it_and_not_once_more(tmp_pa
     valid = frame.pixels().valid
     is_valid = np.ones(expected.shape[:2], bool) if valid is None else valid > 127
     assert angles(read(tmp_path / "maps", scene)[frame.name][is_valid], expected[is_valid]).max() < 0.1
-    (tmp_path / "of_photo").mkdir()
-    for name in "abc":
-        np.save(tmp_path / f"of_photo/{name}.npy", ball().astype(np.float32))
-    again = read(tmp_path / "of_photo", scene)[frame.name]
-    assert angles(again[is_valid], expected[is_valid]).mean() < 0.5, "the photo's own map, undistorted, is the same map"
 
 
 def test_intrinsics_follow_the_photo_and_the_networks_pixel_centres(tmp_path):
@@ -221,10 +211,8 @@ def test_a_second_run_makes_what_is_missing_and_a_killed_one_leaves_whole_maps(t
             run()
     assert not list((tmp_path / "maps").rglob("*.npz")) and not list((tmp_path / "maps").rglob(".*"))
     assert run()["made"] == 3, "goes on in the folder of the killed run"
-    times = {f: f.stat().st_mtime_ns for f in (tmp_path / "maps").rglob("*")}
     report = run()
     assert (report["made"], report["maps"], report["seconds_per_map"]) == (0, 3, None)
-    assert times == {f: f.stat().st_mtime_ns for f in (tmp_path / "maps").rglob("*")}
     (tmp_path / "maps/b.npz").unlink()
     assert run()["made"] == 1
     assert sorted(read(tmp_path / "maps", scene)) == ["a.png", "b.png", "c.png"]
@@ -240,8 +228,6 @@ def test_maps_of_another_model_or_origin_are_never_overwritten(tmp_path):
         pipeline.normals(scene, record, other, maps)
     with pytest.raises(InputError, match=r'made with record.axes = "opencv", not "dsine"'):
         pipeline.normals(scene, write_record(tmp_path / "r.json", axes="dsine"), weights, maps)
-    with pytest.raises(InputError, match=r'made with network = "r", not "moge2"'):
-        pipeline.normals(scene, "moge2", weights, maps)
     with pytest.raises(InputError, match=r"made with downscale = 1.0, not 2.0"):
         pipeline.normals(scene, write_record(tmp_path / "r.json"), weights, maps, downscale=2.0)
     write_scene(scene, fl_x=70.0)
@@ -255,40 +241,22 @@ def test_maps_of_another_model_or_origin_are_never_overwritten(tmp_path):
     assert os.listdir(tmp_path / "mine") == ["a.npy"]
 
 
-def graph_that(fault, file):
-    """A graph with one fault."""
-    graph = SmallGraph()
-    if fault == "grey":
-        graph.output(graph.input("image", ("b", 1, "h", "w")), "normal")
-        return graph.save(file)
-    image = graph.input("image")
-    signed = graph.affine(image, 2.0, -1.0)
-    if fault == "depth only":
-        graph.output(graph.channel(image, 0), "pred_depth")
-    elif fault == "one channel":
-        graph.output(graph.add("ReduceMax", image, axes=[1]), "normal")
-    elif fault == "pooled":
-        graph.output(graph.add("GlobalAveragePool", signed), "normal")
-    elif fault == "turned":
-        graph.output(graph.transposed(signed, [0, 1, 3, 2]), "normal")
-    elif fault == "nan":
-        graph.output(graph.add("Div", signed, graph.constant(0.0)), "normal")
-    elif fault == "more input":
-        graph.input("K", (3, 3))
-        graph.output(signed, "normal")
-    elif fault == "two inputs":
-        graph.output(graph.add("Mul", signed, graph.input("prompt", (1,))), "normal")
-    elif fault == "does not run":
-        graph.output(graph.add("Add", signed, graph.constant(np.zeros((1, 3, 7, 5)))), "normal")
-    return graph.save(file)
+def signed(graph):
+    return graph.affine(graph.input("image"), 2.0, -1.0)
 
 
+GRAPHS = {
+    "grey": lambda graph: graph.input("image", ("b", 1, "h", "w")),
+    "depth only": lambda graph: graph.channel(graph.input("image"), 0),
+    "turned": lambda graph: graph.transposed(signed(graph), [0, 1, 3, 2]),
+    "nan": lambda graph: graph.add("Div", signed(graph), graph.constant(0.0)),
+    "two inputs": lambda graph: graph.add("Mul", signed(graph), graph.input("prompt", (1,))),
+    "does not run": lambda graph: graph.add("Add", signed(graph), graph.constant(np.zeros((1, 3, 7, 5)))),
+}
 FAULTS = {
     "grey": r"w.onnx: takes no picture of three channels; its inputs are image \[\?, 1, \?, \?\]",
     "depth only": r"w.onnx: gives no normals \(normal\); its outputs are pred_depth",
-    "one channel": r"w.onnx: gives \[1, 1, 40, 60\] for a photo of 60x40, not normals, three values a pixel",
-    "pooled": r"w.onnx: gives \[1, 3, 1, 1\] for a photo of 60x40, not normals",
-    "turned": r"w.onnx: gives \[1, 3, 60, 40\] for a photo of 60x40, not normals",
+    "turned": r"w.onnx: gives \[1, 3, 60, 40\] for a photo of 60x40, not normals, three values a pixel",
     "nan": r"w.onnx: gives 2400 pixels that are not finite for a.png",
     "two inputs": r"w.onnx: also takes prompt \[1\], which the network's record does not know",
     "does not run": r"w.onnx: does not run on image \[1, 3, 40, 60\] \(.*\)",
@@ -297,8 +265,9 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_graph_with_a_fault_is_one_line_and_leaves_nothing(tmp_path, fault, capfd):
-    scene, weights = write_scene(tmp_path / "scene"), graph_that(fault, tmp_path / "w.onnx")
-    record = write_record(tmp_path / "r.json")
+    scene, record, graph = write_scene(tmp_path / "scene"), write_record(tmp_path / "r.json"), SmallGraph()
+    graph.output(GRAPHS[fault](graph), "pred_depth" if fault == "depth only" else "normal")
+    weights = graph.save(tmp_path / "w.onnx")
     out = tmp_path / "new/maps"
     code = cli.main(["normals", str(scene), "--network", str(record), "--weights", str(weights), "--out", str(out)])
     assert code == 2
@@ -313,17 +282,13 @@ def test_files_that_cannot_serve_are_named(tmp_path):
     scene, record = write_scene(tmp_path / "scene"), write_record(tmp_path / "r.json")
     weights = color_network(tmp_path / "w.onnx")
     (tmp_path / "text.onnx").write_text("no graph")
-    cases = {
-        "nowhere.onnx: no such file of weights": (scene, record, tmp_path / "nowhere.onnx"),
-        r"text.onnx: no ONNX graph that onnxruntime [\d.]+ loads": (scene, record, tmp_path / "text.onnx"),
-        "nowhere: no such folder": (tmp_path / "nowhere", record, weights),
-        r"--network marigold: neither a known network \(moge2, .*, midas, depth_anything_v2\) nor a file": (
-            scene,
-            "marigold",
-            weights,
-        ),
-    }
-    for message, (data, network, graph) in cases.items():
+    unknown = r"--network marigold: neither a known network \(moge2, .*, midas, depth_anything_v2\) nor a file"
+    for message, data, network, graph in (
+        ("nowhere.onnx: no such file of weights", scene, record, tmp_path / "nowhere.onnx"),
+        (r"text.onnx: no ONNX graph that onnxruntime [\d.]+ loads", scene, record, tmp_path / "text.onnx"),
+        ("nowhere: no such folder", tmp_path / "nowhere", record, weights),
+        (unknown, scene, "marigold", weights),
+    ):
         with pytest.raises(InputError, match=message) as error:
             pipeline.normals(data, network, graph, tmp_path / "maps")
         assert "\n" not in str(error.value)
@@ -339,9 +304,7 @@ def test_files_that_cannot_serve_are_named(tmp_path):
     ("changes", "message"),
     [
         ({"axis": "opencv"}, "r.json: unknown key 'axis'; the nearest known one is 'axes'"),
-        ({"axes": None}, "r.json: axes is None, expected str"),
         ({"axes": "up"}, "expected three signs such as"),
-        ({"range": "bytes"}, 'r.json: range is \'bytes\', expected one of "signed", "unit"'),
         ({"size": {"rule": "fixed"}}, "r.json: size: the rule fixed needs sides"),
         ({"size": {"rule": "multiple", "multiple": 0}}, "r.json: size: multiple=0 is below 1"),
         ({"std": [0, 1, 1]}, "must be positive"),

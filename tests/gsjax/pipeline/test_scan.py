@@ -94,14 +94,17 @@ def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp
     assert list(rows) == ["sfm", "train", "mesh", "refine", "texture"]
     assert rows["sfm"]["registered"] == 7 and rows["mesh"]["faces"] == 12
     assert all(row["seconds"] >= 0 and row["peak_gib"] > 0 for row in rows.values())
-    scores = {"psnr": 20.9, "psnr_near_gains": 29.9, "psnr_fitted": 30.7}
-    train_row = table({"stages": {"train": scores}})["train"]
-    assert train_row == {"psnr": 20.9, "psnr_near_gains": 29.9}, "photos of other exposures than the mean look no worse"
 
 
 def test_a_scan_goes_on_where_it_stopped_and_then_has_nothing_to_do(stages, photos, tmp_path):
+    """As it began it was killed, and had written nothing whole; two at a time do not work in its folder."""
     calls, broken = stages
     broken.add("refine")
+    (tmp_path / "scan").mkdir()
+    (tmp_path / "scan/.lock").write_text("")
+    (tmp_path / "scan/.report.gsjax-1-0123abcd.json").write_text("{")
+    with lock_folder(tmp_path / "scan"), pytest.raises(InputError, match="scan: another process is at work"):
+        scanned(photos, tmp_path / "scan")
     with pytest.raises(InputError, match="refine has no room"):
         scanned(photos, tmp_path / "scan")
     (tmp_path / "scan/refined").mkdir()  # as a refinement that was killed leaves it
@@ -116,20 +119,13 @@ def test_a_scan_goes_on_where_it_stopped_and_then_has_nothing_to_do(stages, phot
     assert calls == []
 
 
-def test_a_scan_killed_as_it_began_and_a_second_one_on_its_folder(stages, photos, tmp_path):
-    out = tmp_path / "scan"
-    out.mkdir()
-    (out / ".lock").write_text("")
-    (out / ".report.gsjax-1-0123abcd.json").write_text("{")
-    with lock_folder(out), pytest.raises(InputError, match="scan: another process is at work in this folder"):
-        scanned(photos, out)
-    assert scanned(photos, out)["stages"]
-
-
 def test_a_data_set_with_poses_is_not_reconstructed(stages, tmp_path):
     scene = tmp_path / "scene"
     (scene / "sparse/0").mkdir(parents=True)
     (scene / "sparse/0/cameras.bin").write_bytes(b"")
+    with pytest.raises(InputError, match="scene: is a data set.* --frames and --mask-below: for photos or a video"):
+        scanned(scene, tmp_path / "scan", frames=30, mask_below=60.0)
+    assert not (tmp_path / "scan").exists()
     scanned(scene, tmp_path / "scan")
     calls, _ = stages
     assert calls[0][:2] == ("train", str(scene))
@@ -166,15 +162,6 @@ def test_photos_are_reconstructed_as_sfm_would_and_a_resumed_scan_is_the_same(
     assert len(calls) == 5, "none of these did anything"
 
 
-def test_a_data_set_is_not_to_be_reconstructed(stages, tmp_path):
-    scene = tmp_path / "scene"
-    (scene / "sparse/0").mkdir(parents=True)
-    (scene / "sparse/0/cameras.bin").write_bytes(b"")
-    with pytest.raises(InputError, match="scene: is a data set.* --frames and --mask-below: for photos or a video"):
-        scanned(scene, tmp_path / "scan", frames=30, mask_below=60.0)
-    assert not (tmp_path / "scan").exists()
-
-
 def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
     calls, broken = stages
     broken.add("sfm")
@@ -186,11 +173,7 @@ def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
     assert len(calls) == 6
 
 
-@pytest.mark.parametrize(
-    ("preset", "length"),
-    [("quick", "fast"), ("fast", "fast"), ("balanced", "balanced"), ("accurate", "long"), ("paper_6k_15k", "long"),
-     ("paper_13k_7k", "medium")],
-)  # fmt: skip
+@pytest.mark.parametrize(("preset", "length"), [("quick", "fast"), ("accurate", "long"), ("paper_13k_7k", "medium")])
 def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
     handed = []
     report = {"stages": {"mesh": {"faces": 12}}, "mesh": "m", "picture": "p"}

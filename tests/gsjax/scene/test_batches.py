@@ -10,7 +10,7 @@ from gsjax.scene import Pixels, batches, frame_of, with_pixels
 from gsjax.training.terms import losses
 
 RNG = np.random.default_rng(0)
-BLACK, WHITE = jnp.zeros(3, jnp.float32), jnp.ones(3, jnp.float32)
+BLACK = jnp.zeros(3, jnp.float32)
 
 
 def frame(width, height, *, matte=None, valid=None, name="a.png"):
@@ -34,14 +34,6 @@ def test_mixed_sizes_are_padded_right_and_below_and_the_padding_is_invalid():
     assert (tall.camera.width, tall.camera.height) == (12, 10)
 
 
-def test_what_photos_lack_is_not_stored_and_a_whole_photo_is_not_copied():
-    photo = frame(12, 6)
-    (target,) = batches.read_batches((photo,)).views
-    assert target.valid is None and target.matte is None and target.normals is None
-    assert target.image is photo.pixels().image
-    assert batches.read_batches((photo, photo)).num_bytes == 2 * (12 * 6 * 3 + 16 * 4 + 9 * 4 + 2 * 4)
-
-
 def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
     small, large = frame(12, 14), frame(16, 18)
     rendered = RNG.random((18, 16, 3)).astype(np.float32)
@@ -57,6 +49,18 @@ def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
     assert_close(terms(padded, rendered), terms(alone, rendered[:14, :12]))
 
 
+def test_a_whole_photo_is_not_copied_and_a_matte_lays_it_over_the_background():
+    matte = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
+    photo = frame(7, 5, matte=matte)
+    (target,) = batches.read_batches((photo,)).views
+    assert target.valid is None and target.normals is None and target.image is photo.pixels().image
+    background = np.array([0.2, 0.5, 0.9])
+    batch = batches.decode(target, jnp.asarray(background, jnp.float32))
+    a = matte[..., None] / 255
+    assert_close(batch.image, photo.pixels().image / 255 * a + (1 - a) * background)
+    assert_close(batch.matte, matte / 255)
+
+
 def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
     photo = frame(9, 6)
     data = batches.read_batches((photo,), scale=2)
@@ -65,9 +69,6 @@ def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
     assert_close(data.views[0].image, np.rint(blocks).astype(np.uint8))
     assert_close(data.views[0].camera.K, np.diag([0.5, 0.5, 1]) @ photo.K)
     assert bool(batches.decode(data.views[0], BLACK).valid.all())
-
-
-def test_a_reduction_that_leaves_no_pixel_is_one_line():
     with pytest.raises(InputError, match="photos 8 times smaller: nothing is left of one of 9x6 pixels"):
         batches.read_batches((frame(9, 6),), scale=8)
 
@@ -87,16 +88,6 @@ def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_p
     weights = coverage[:2, :2, None] / 255
     expected = np.rint((photo.pixels().image[:2, :2] * weights).sum((0, 1)) / weights.sum((0, 1)))
     assert_close(batches.read_batches((photo,), scale=2).views[0].image[0, 0], expected.astype(np.uint8))
-
-
-def test_mattes_lay_the_photo_over_the_background():
-    matte = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
-    photo = frame(7, 5, matte=matte)
-    background = np.array([0.2, 0.5, 0.9])
-    batch = batches.decode(batches.read_batches((photo,)).views[0], jnp.asarray(background, jnp.float32))
-    a = matte[..., None] / 255
-    assert_close(batch.image, photo.pixels().image / 255 * a + (1 - a) * background)
-    assert_close(batch.matte, matte / 255)
 
 
 @pytest.mark.parametrize("scale", [1, 2])
@@ -129,18 +120,3 @@ def test_targets_reach_the_device_with_the_same_bits_in_any_order(room):
         (fed,) = view([index], [following])
         assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(fed))
         jax.tree.map(np.testing.assert_array_equal, fed, data.views[index])
-
-
-def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
-    data = batches.read_batches(tuple(frame(6, 4) for _ in range(3)))
-    sent, put = [], jax.device_put
-
-    def noted(target):
-        sent.append(next(i for i, candidate in enumerate(data.views) if candidate is target))
-        return put(target)
-
-    monkeypatch.setattr(jax, "device_put", noted)
-    view = batches.feed(data, room=data.num_bytes - 1)
-    for index, following in ((0, 1), (1, 2), (2, 2), (2, 0)):
-        view([index], [following])
-    assert sent == [0, 1, 2, 0], "each once, before it is asked for; the same view twice in a row is sent once"

@@ -77,7 +77,7 @@ def test_photos_in_no_order_are_passed_from_near_to_near():
     np.testing.assert_allclose([viewmat_center(v)[0] for v in thinned.viewmats], [0, 3, 6, 9], atol=1e-5)
 
 
-@pytest.mark.parametrize("aspect", [0.5, 1.0, 4 / 3, 3.0])
+@pytest.mark.parametrize("aspect", [0.5, 3.0])
 def test_all_that_a_photo_shows_is_in_the_film(aspect):
     camera = camera_at(size=(32, 24), focal=30.0)
     down = np.tan(covering_fov(camera, aspect) / 2)

@@ -6,27 +6,15 @@ from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.scene import cameras
-from gsjax.scene.cameras import Camera
 
 CAMERA = camera_at((1.0, -2.0, 0.5), (0.3, 0.2, 6.0))
 
 
-def test_the_centre_is_where_the_camera_was_put_and_maps_to_the_origin():
-    assert_close(cameras.center(CAMERA), np.array([1.0, -2.0, 0.5]))
-    assert_close(cameras.world_to_camera(cameras.center(CAMERA), CAMERA), np.zeros(3))
-
-
-def test_world_to_camera_is_the_rigid_matrix():
+def test_world_to_camera_is_the_rigid_matrix_and_projection_the_pinhole_formula():
     point = np.array([0.4, 0.1, 5.0])
     expected = np.asarray(CAMERA.viewmat, np.float64) @ [*point, 1.0]
     assert_close(cameras.world_to_camera(jnp.asarray(point, jnp.float32), CAMERA), expected[:3])
-    ahead = np.array([0.3, 0.2, 6.0])
-    x, y, z = cameras.world_to_camera(jnp.asarray(ahead, jnp.float32), CAMERA)
-    assert_close(jnp.stack([x, y, z]), np.array([0, 0, np.linalg.norm(ahead - [1.0, -2.0, 0.5])]))
-
-
-def test_projection_is_the_pinhole_formula():
-    point = np.array([0.7, -0.3, 2.5])
+    assert_close(cameras.center(CAMERA), np.array([1.0, -2.0, 0.5]))
     homogeneous = np.asarray(CAMERA.K, np.float64) @ point
     assert_close(cameras.project(jnp.asarray(point, jnp.float32), CAMERA), homogeneous[:2] / homogeneous[2])
 
@@ -36,13 +24,6 @@ def test_pixel_rays_pass_the_pixel_centres():
     pixels = project(3.0 * cameras.pixel_rays(CAMERA), CAMERA)
     x, y = np.meshgrid(np.arange(CAMERA.width) + 0.5, np.arange(CAMERA.height) + 0.5)
     assert_close(pixels, np.stack([x, y], -1))
-
-
-def test_unprojected_points_have_the_depth_and_the_pixel():
-    depth = jnp.asarray(np.random.default_rng(0).uniform(1, 9, (CAMERA.height, CAMERA.width)), jnp.float32)
-    points = cameras.unproject(depth, CAMERA)
-    assert_close(points[..., 2], depth)
-    assert_close(cameras.project(points[3, 5], CAMERA), np.array([5.5, 3.5]))
 
 
 def test_points_land_on_the_pixels_that_they_were_taken_from():
@@ -70,21 +51,6 @@ def test_on_and_behind_the_camera_plane_all_is_finite(z):
     )
     assert bool(jnp.isfinite(value)) and bool(jnp.isfinite(gradient).all())
     assert float(gradient[2]) == 0
-
-
-def test_a_new_pose_does_not_recompile_and_a_new_size_does():
-    traced = []
-
-    @jax.jit
-    def sum_of_rays(camera):
-        traced.append((camera.width, camera.height))
-        return cameras.pixel_rays(camera).sum()
-
-    for focal in (20.0, 30.0):
-        sum_of_rays(camera_at((0.0, 0.0, focal), focal=focal))
-    assert traced == [(CAMERA.width, CAMERA.height)]
-    sum_of_rays(Camera(CAMERA.viewmat, CAMERA.K, 8, 8))
-    assert traced[1:] == [(8, 8)]
 
 
 def test_a_camera_sees_its_target_in_the_middle_and_up_above():

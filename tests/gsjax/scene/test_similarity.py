@@ -12,7 +12,7 @@ from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import gaussian_files, json_files
 from gsjax.io.images import write_image
-from gsjax.io.ply import read_gaussians, write_gaussians
+from gsjax.io.ply import write_gaussians
 from gsjax.io.ply_elements import read_elements
 from gsjax.io.scenes import load_scene
 from gsjax.meshing import export
@@ -22,7 +22,7 @@ from gsjax.runs.result import open_result, recorded_camera, write_views
 from gsjax.scene import similarity as similarities
 from gsjax.scene.georeference import UNPLACED
 from gsjax.scene.meshes import Mesh
-from gsjax.scene.similarity import Similarity, parse_similarity
+from gsjax.scene.similarity import Similarity
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 WORLDS = {
@@ -39,15 +39,12 @@ FLIP = np.diag([1.0, -1, -1, 1])  # OpenGL's camera axes
 
 def ring(count=8):
     """`[V, 4, 4]` float64 camera to world, OpenCV axes, of cameras around the origin that look at it."""
-    poses = []
-    for angle in 2 * np.pi * np.arange(count) / count:
-        eye = np.array([3 * np.cos(angle), 2.5 * np.sin(angle), 0.4 * np.cos(3 * angle)])
-        z = -eye / np.linalg.norm(eye)
-        x = np.cross([0.0, 0, 1], z) / np.linalg.norm(np.cross([0.0, 0, 1], z))
-        pose = np.eye(4)
-        pose[:3] = np.stack([x, np.cross(z, x), z, eye], axis=-1)
-        poses.append(pose)
-    return np.stack(poses)
+    angles = 2 * np.pi * np.arange(count) / count
+    eyes = np.stack([3 * np.cos(angles), 2.5 * np.sin(angles), 0.4 * np.cos(3 * angles)], -1)
+    z = -eyes / np.linalg.norm(eyes, axis=1, keepdims=True)
+    x = np.cross([0.0, 0, 1], z)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.concatenate([np.stack([x, np.cross(z, x), z, eyes], -1), np.tile([[[0.0, 0, 0, 1]]], (count, 1, 1))], 1)
 
 
 POSES = ring()
@@ -102,7 +99,7 @@ def test_what_is_read_looks_the_same_in_every_world(world, tmp_path):
     assert 1 <= similarities.spread(centers) < 4.001
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", ["as it is", "a millionth, far off", "turned and shifted"])
 def test_random_points_of_the_synthetic_layout_lie_where_its_cameras_look(world, tmp_path):
     write_scene(tmp_path, world)
     (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
@@ -114,7 +111,7 @@ def test_random_points_of_the_synthetic_layout_lie_where_its_cameras_look(world,
     assert np.abs(places - shift).max() < (1.31 if world == "as it is" else 3.1 * scale)
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", ["utm", "a millionth, far off", "turned and shifted"])
 def test_views_are_written_where_the_user_has_them_and_read_back(world, tmp_path):
     scene = load_scene(write_scene(tmp_path, world))
     run = runs.create(tmp_path / "run", {"background": "black"}, scene=tmp_path, seed=0, similarity=scene.similarity)
@@ -129,7 +126,7 @@ def test_views_are_written_where_the_user_has_them_and_read_back(world, tmp_path
         np.testing.assert_allclose(again, frame.viewmat, atol=4e-6)
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", ["a thousand", "a millionth, far off", "turned and shifted"])
 def test_an_undistorted_data_set_lies_where_its_original_does(world, tmp_path):
     scene = write_scene(tmp_path / "scene", world)
     undistort(scene, tmp_path / "out")
@@ -147,23 +144,14 @@ def gaussians_in(world):
     return here, replace(here, means=moved(world, np.asarray(here.means, np.float64)), log_scales=log_scales)
 
 
-@pytest.mark.parametrize(("world", "kind"), [("as it is", "f4"), ("a thousandth", "f4"), ("utm", "f8")])
-def test_a_ply_is_double_only_where_float_would_lose_the_place(world, kind, tmp_path):
-    _, there = gaussians_in(world)
-    write_gaussians(tmp_path / "g.ply", there)
-    vertices = read_elements(tmp_path / "g.ply")[0]["vertex"]
-    assert {vertices.dtype[axis].str for axis in "xyz"} == {f"<{kind}"}
-    assert {vertices.dtype[name].str for name in vertices.dtype.names if name not in "xyz"} == {"<f4"}
-    gaussians = read_gaussians(tmp_path / "g.ply")
-    assert gaussians.means.dtype == np.dtype(kind)
-    np.testing.assert_allclose(gaussians.means, there.means, atol=1e-6 * WORLDS[world][0])
-
-
-@pytest.mark.parametrize("world", ["utm", "a thousand", "a thousandth", "a millionth, far off"])
+@pytest.mark.parametrize("world", ["utm", "a thousandth"])
 def test_gaussians_come_back_to_the_same_local_ones(world, tmp_path):
     here, there = gaussians_in(world)
     similarity = similarities.of_points(np.asarray(there.means))
     write_gaussians(tmp_path / "g.ply", similarity.gaussians_to_world(similarity.gaussians_to_local(there)))
+    vertices = read_elements(tmp_path / "g.ply")[0]["vertex"]
+    assert {vertices.dtype[axis].str for axis in "xyz"} == {"<f8" if world == "utm" else "<f4"}, "where float loses it"
+    assert {vertices.dtype[name].str for name in vertices.dtype.names if name not in "xyz"} == {"<f4"}
     result = open_result(tmp_path / "g.ply")
     assert result.similarity == similarity
     assert result.gaussians.means.dtype == result.gaussians.log_scales.dtype == np.float32
@@ -198,7 +186,7 @@ def test_compressed_files_are_local_where_they_have_to_be_and_say_so(suffix, tmp
     assert [path.name for path in tmp_path.iterdir()] == [file.name], "what told the other place is gone"
 
 
-@pytest.mark.parametrize("world", ["as it is", "utm", "a thousandth", "a millionth, far off"])
+@pytest.mark.parametrize("world", ["utm", "a thousandth"])
 @pytest.mark.parametrize("name", ["m.ply", "m.obj", "m.glb", "textured.obj", "textured.glb"])
 def test_meshes_keep_their_place(world, name, tmp_path):
     faces = np.arange(48, dtype=np.int32).reshape(16, 3)
@@ -210,30 +198,27 @@ def test_meshes_keep_their_place(world, name, tmp_path):
     else:
         export.write_mesh(tmp_path / name, mesh)
     result = export.read_mesh(tmp_path / name)
-    assert result.vertices.dtype == (np.float32 if world in ("as it is", "a thousandth") else np.float64)
-    corners = result.vertices[result.faces].astype(np.float64)
-    np.testing.assert_allclose(corners, mesh.vertices[faces], atol=1e-6 * WORLDS[world][0])
-    for_browser = tmp_path / "browser.glb"
-    for_browser.write_bytes(export.glb_bytes(tmp_path / name))
-    corners = export.read_mesh(for_browser)
-    np.testing.assert_allclose(
-        corners.vertices[corners.faces], mesh.vertices[faces], atol=1e-6 * WORLDS[world][0]
-    )  # fmt: skip
+    assert result.vertices.dtype == (np.float32 if world == "a thousandth" else np.float64)
+    (tmp_path / "browser.glb").write_bytes(export.glb_bytes(tmp_path / name))
+    for read in (result, export.read_mesh(tmp_path / "browser.glb")):
+        np.testing.assert_allclose(read.vertices[read.faces], mesh.vertices[faces], atol=1e-6 * WORLDS[world][0])
 
 
 @pytest.mark.parametrize(
     "record",
     [
         {"scale": 1e308, "center": [0, 0, 0]},
-        {"scale": 1e-308, "center": [0, 0, 0]},
         {"scale": 0, "center": [0, 0, 0]},
         {"scale": 4.0, "center": [1e300, 0, 0]},
-        {"scale": 4.0, "center": [float("nan"), 0, 0]},
+        {"scale": 1},
+        {"scale": 1, "center": ["x", 0, 0]},
+        [],
     ],
 )
 def test_a_similarity_that_no_scene_has_is_refused(record, tmp_path):
-    with pytest.raises(InputError, match=r"m.json: a similarity of scale .* is none$"):
-        parse_similarity(record, tmp_path / "m.json")
+    json_files.write(tmp_path / "manifest.json", {"similarity": record})
+    with pytest.raises(InputError, match=r"manifest\.json.*similarity"):
+        runs.read_similarity(tmp_path)
 
 
 def test_lengths_and_poses_go_there_and_back():
@@ -243,19 +228,6 @@ def test_lengths_and_poses_go_there_and_back():
     np.testing.assert_allclose(world[:3, :3] @ similarity.points_to_world(POINTS[0]) + world[:3, 3],
                                (viewmat[:3, :3] @ POINTS[0] + viewmat[:3, 3]) / 4, atol=1e-9)  # fmt: skip
     np.testing.assert_allclose(similarity.viewmat_to_local(world), viewmat, atol=1e-9)
-    report = {"cell": 2.0, "box": [1.0], "inner": {"cell": 8.0, "faces": 3}, "none": {"cell": None}}
-    assert similarity.figures_to_world(report, {"cell"}) == {
-        "cell": 0.5,
-        "box": [1.0],
-        "inner": {"cell": 2.0, "faces": 3},
-        "none": {"cell": None},
-    }
-
-
-@pytest.mark.parametrize(
-    "record", [{"scale": 0, "center": [0, 0, 0]}, {"scale": 1}, {"scale": 1, "center": ["x", 0, 0]}, []]
-)
-def test_a_damaged_similarity_is_one_line(record, tmp_path):
-    json_files.write(tmp_path / "manifest.json", {"similarity": record})
-    with pytest.raises(InputError, match=r"manifest\.json.*similarity"):
-        runs.read_similarity(tmp_path)
+    report = {"cell": 2.0, "box": [1.0], "inner": {"cell": 8.0, "none": {"cell": None}}}
+    in_world = {"cell": 0.5, "box": [1.0], "inner": {"cell": 2.0, "none": {"cell": None}}}
+    assert similarity.figures_to_world(report, {"cell"}) == in_world

@@ -8,20 +8,17 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from meshes import tetrahedron
+from run_folders import write_run
 from small_scenes import camera_at, cloud
 
 from gsjax import cli, pipeline
 from gsjax.io import json_files
-from gsjax.io.ply import write_gaussians
 from gsjax.io.spz import read_spz
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.runs.result import write_views
-from gsjax.scene import Pixels, frame_of
-from gsjax.scene.meshes import Mesh
 from gsjax.sharing.page import LIBRARIES
 
 HOSTILE = "</script><script>alert(1)</script><!-- <b onload='x'>&\""
-FAR = np.array([5e6, -2e6, 300.0])
 
 
 class Page(HTMLParser):
@@ -43,18 +40,9 @@ class Page(HTMLParser):
 @pytest.fixture
 def run(tmp_path):
     """Of 30 Gaussians and 20 cameras, with a mesh, and photos that are named to do harm."""
-    image, folder = np.zeros((20, 24, 3), np.uint8), tmp_path / "run"
     cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20)) for x in np.linspace(-1, 1, 20)]
-    frames = [
-        frame_of(f"{HOSTILE}{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image))
-        for k, c in enumerate(cameras)
-    ]
-    json_files.write(folder / "config.json", {"model": {"background": "white"}})
-    write_gaussians(folder / "gaussians.ply", cloud(30))
-    write_views(folder, tuple(frames))
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
-    write_mesh(folder / "mesh.ply", Mesh(corners, faces, np.full((4, 3), 188, np.uint8)))
+    folder = write_run(tmp_path / "run", cloud(30), cameras, prefix=HOSTILE)
+    write_mesh(folder / "mesh.ply", tetrahedron())
     return folder
 
 
@@ -81,9 +69,13 @@ def test_what_is_inside_comes_back(run, tmp_path):
     np.testing.assert_allclose(view["up"], [0, -1, 0], atol=1e-6)
 
 
-def test_titles_and_names_stay_text(run, tmp_path):
+def test_titles_and_names_stay_text_and_a_far_run_is_shared_about_its_own_middle(run, tmp_path):
+    """What saved paths and the mesh are brought by is in the page, in double precision."""
+    similarity = {"scale": 0.25, "center": [5e6, -2e6, 300.0]}
+    json_files.write(run / "manifest.json", {"scene": "nowhere", "similarity": similarity})
     pipeline.share(run, tmp_path / "page.html", title=HOSTILE)
     page = Page((tmp_path / "page.html").read_text())
+    assert json.loads(page.texts["view"])["similarity"] == similarity
     assert page.texts["title"].strip() == page.texts["h1"].strip() == HOSTILE
     assert page.counts["script"] == 5 and "b" not in page.counts  # the view, three parts and the viewer
     assert "connect-src blob: data:" in (tmp_path / "page.html").read_text(), "no network"
@@ -94,16 +86,6 @@ def test_the_viewer_is_javascript(run, tmp_path):
     pipeline.share(run, tmp_path / "page.html")
     (tmp_path / "viewer.js").write_text(Page((tmp_path / "page.html").read_text()).texts["script"])
     subprocess.run([node, "--check", tmp_path / "viewer.js"], check=True)
-
-
-def test_a_far_run_is_shared_about_its_own_middle(run, tmp_path):
-    """What saved paths and the mesh are brought by is in the page, in double precision."""
-    similarity = {"scale": 0.25, "center": FAR.tolist()}
-    json_files.write(run / "manifest.json", {"scene": "nowhere", "similarity": similarity})
-    gaussians = cloud(30)
-    write_gaussians(run / "gaussians.ply", gaussians)
-    pipeline.share(run, tmp_path / "page.html")
-    assert json.loads(Page((tmp_path / "page.html").read_text()).texts["view"])["similarity"] == similarity
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,7 @@ from tolerances import assert_close
 
 from gsjax.scene import Scene, with_pixels
 from gsjax.stereo import depths_of_photos, stereo_points, views
-from gsjax.stereo.depths import CONFIRMED, FEWEST_CHECKED, Evidence, confirmed, evidence
-from gsjax.stereo.sweep import UNLIKE, dissimilarities, inverse_depths
+from gsjax.stereo.depths import FEWEST_CHECKED, Evidence, evidence
 from gsjax.stereo.views import Depth, stereo_views
 
 AWAY = 3.0  # from the cameras to the wall
@@ -52,16 +51,15 @@ def noise(index, pixels):
     return pixels._replace(image=np.random.default_rng(index).integers(0, 256, pixels.image.shape).astype(np.uint8))
 
 
-def points_of(scene: Scene, count: int):
-    """The stereo points of a scene; None where no photo has depth."""
-    depths = depths_of_photos(scene)
-    return stereo_points(depths, count) if depths.accepted else None
+@pytest.fixture(scope="module")
+def wall_depths():
+    return depths_of_photos(WALL)
 
 
-@pytest.mark.parametrize("scene", [WALL, change_photos(WALL, exposed)], ids=["", "exposures"])
-def test_points_lie_on_the_wall_in_its_colours(scene):
-    result = points_of(scene, 500)
-    assert result is not None and 100 < len(result.points) <= 500
+def test_points_lie_on_the_wall_in_its_colours_whatever_the_exposures():
+    scene = change_photos(WALL, exposed)
+    result = stereo_points(depths_of_photos(scene), 500)
+    assert 100 < len(result.points) <= 500
     off = np.abs(result.points[:, 2])
     assert np.median(off) < 0.005 * AWAY and off.max() < 0.03 * AWAY
     assert np.ptp(result.points[:, 0]) > 2.5 and np.ptp(result.points[:, 1]) > 1.8, "all over what the photos show"
@@ -77,15 +75,13 @@ def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch
     landed = view.landing(WALL.points[view.matched])
     assert_close(landed.depths, np.full(len(view.matched), AWAY), rtol=1e-6, atol=0, why="poses are float32")
     assert landed.inside.all()
-    result = points_of(WALL, 200)
-    assert result is not None and np.abs(result.points[:, 2]).max() < 0.03 * AWAY
+    assert np.abs(stereo_points(depths_of_photos(WALL), 200).points[:, 2]).max() < 0.03 * AWAY
 
 
-def test_every_photo_tells_the_depth_of_the_wall():
-    depths = depths_of_photos(WALL)
-    assert [each.view.name for each in depths.accepted] == [frame.name for frame in WALL.frames]
-    assert depths.line.startswith("5 of 5 photos; 100% of")
-    for each in depths.accepted:
+def test_every_photo_tells_the_depth_of_the_wall(wall_depths):
+    assert [each.view.name for each in wall_depths.accepted] == [frame.name for frame in WALL.frames]
+    assert wall_depths.line.startswith("5 of 5 photos; 100% of")
+    for each in wall_depths.accepted:
         is_confident = each.depth.is_confident
         assert is_confident.shape == SIZE[::-1] and 0.3 < is_confident.mean() < 1
         assert np.abs(each.depth.z[is_confident] - AWAY).max() < 0.03 * AWAY
@@ -94,34 +90,30 @@ def test_every_photo_tells_the_depth_of_the_wall():
     assert depths_of_photos(WALL, 3).compared == 3
 
 
-def test_what_photos_do_not_have_in_common_is_not_found():
-    assert points_of(change_photos(WALL, noise), 500) is None
-
-
 @pytest.mark.parametrize(
     "nothing",
     [
         replace(WALL, tracks=None),
         replace(WALL, frames=WALL.frames[:1]),
         replace(WALL, frames=()),
+        change_photos(WALL, noise),
         replace(WALL, frames=tuple(replace(frame, held_out=True) for frame in WALL.frames)),
         change_photos(WALL, lambda _, pixels: pixels._replace(image=np.full_like(pixels.image, 90))),
         change_photos(WALL, lambda _, pixels: pixels._replace(valid=np.zeros(pixels.image.shape[:2], np.uint8))),
         replace(WALL, frames=tuple(replace(frame, name=f"other{frame.name}") for frame in WALL.frames)),
     ],
-    ids=["no tracks", "one photo", "no photo", "all held out", "grey", "masked", "never matched"],
+    ids=["no tracks", "one photo", "no photo", "noise", "all held out", "grey", "masked", "never matched"],
 )
 def test_where_there_is_nothing_to_compare_nothing_is_found(nothing):
-    assert points_of(nothing, 500) is None
+    assert not depths_of_photos(nothing).accepted
 
 
 @pytest.mark.parametrize("mask", ["matte", "valid"])
-def test_masked_pixels_have_no_say(mask):
+def test_masked_pixels_have_no_say(mask, wall_depths):
     half = np.full(SIZE[::-1], 255, np.uint8)
     half[:, : SIZE[0] // 2] = 0
-    result = points_of(change_photos(WALL, lambda _, pixels: pixels._replace(**{mask: half})), 500)
-    whole = points_of(WALL, 500)
-    assert result is not None and whole is not None
+    masked = change_photos(WALL, lambda _, pixels: pixels._replace(**{mask: half}))
+    result, whole = (stereo_points(depths, 500) for depths in (depths_of_photos(masked), wall_depths))
     assert result.points[:, 0].min() > whole.points[:, 0].min() + 0.5
 
 
@@ -129,38 +121,8 @@ def test_a_photo_with_a_wrong_pose_spoils_nothing():
     turned = WALL.frames[2].viewmat.copy()
     turned[0, 3] += 0.4
     frames = tuple(replace(f, viewmat=turned) if i == 2 else f for i, f in enumerate(WALL.frames))
-    result = points_of(replace(WALL, frames=frames), 500)
-    assert result is not None and np.quantile(np.abs(result.points[:, 2]), 0.95) < 0.03 * AWAY
-
-
-def test_dissimilarity_is_least_at_the_wall_and_knows_no_exposure():
-    all_views = stereo_views(WALL)
-    view, others = all_views[0], all_views[1:]
-    costs = dissimilarities(view, others)
-    at_wall = np.abs(inverse_depths(view) - 1 / AWAY).argmin()
-    inner = np.s_[8:-8, 8:-8]
-    assert np.median(costs[at_wall][inner]) < 0.02 < 0.1 < np.median(costs[0][inner])
-    assert costs.min() > -1e-3 and costs.max() <= UNLIKE
-    dimmed = replace(view, gray=0.5 * view.gray + 0.2)
-    assert_close(
-        dissimilarities(dimmed, others)[at_wall][inner],
-        costs[at_wall][inner],
-        rtol=0,
-        atol=0.05,
-        why="where a window is nearly flat, its variance is told from the difference of float32 squares",
-    )
-
-
-def test_another_photo_confirms_what_it_shows_at_that_depth_and_nothing_else():
-    view, other = stereo_views(WALL)[:2]
-    right = [Depth(np.full(each.gray.shape, AWAY), np.ones(each.gray.shape, bool)) for each in (view, other)]
-    in_both = other.landing(view.lift(right[0])).inside.reshape(view.gray.shape)
-    np.testing.assert_array_equal(confirmed(view, right[0], [(other, right[1])]), in_both)
-    for factor in (1 - 2 * CONFIRMED, 1 + 2 * CONFIRMED):
-        wrong = right[1]._replace(z=right[1].z * factor)
-        assert not confirmed(view, right[0], [(other, wrong)]).any()
-    assert not confirmed(view, right[0], [(other, right[1]._replace(is_confident=~right[1].is_confident))]).any()
-    assert not confirmed(view, right[0], []).any()
+    result = stereo_points(depths_of_photos(replace(WALL, frames=frames)), 500)
+    assert np.quantile(np.abs(result.points[:, 2]), 0.95) < 0.03 * AWAY
 
 
 def test_matched_points_judge_a_photo():

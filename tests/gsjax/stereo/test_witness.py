@@ -36,14 +36,6 @@ def test_a_wall_that_stereo_confirms_counts_and_a_window_that_it_contradicts_doe
     assert not trusted_normals[WINDOW][:, ~has_stereo[60:]].any()
 
 
-def test_a_segment_without_stereo_counts_nothing(photo):
-    normals = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
-    stereo = normals.copy()
-    stereo[WINDOW] = 0
-    trusted_normals = witnessed_normals(normals, stereo, photo)
-    assert (trusted_normals[WALL] == AHEAD).all() and not trusted_normals[WINDOW].any()
-
-
 def test_far_from_what_stereo_knows_a_segment_counts_less():
     normals = np.tile(AHEAD, (HEIGHT, WIDTH, 1))
     stereo = np.where(np.arange(WIDTH)[None, :, None] < 40, normals, 0).astype(np.int8)

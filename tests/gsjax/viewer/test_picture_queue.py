@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from gsjax.viewer.page_camera import PageCamera
 from gsjax.viewer.picture_queue import REST, PictureQueue, Request
@@ -16,16 +15,6 @@ def camera(x):
 A, B = camera(1.0), camera(2.0)
 
 
-@pytest.fixture
-def clock():
-    return SimpleNamespace(now=100.0)
-
-
-@pytest.fixture
-def queue(clock):
-    return PictureQueue(lambda: clock.now)
-
-
 def take_all(queue):
     """All that is due now."""
     requests = []
@@ -34,7 +23,9 @@ def take_all(queue):
     return requests
 
 
-def test_a_camera_gets_a_coarse_picture_at_once_and_the_full_one_when_it_rests(queue, clock):
+def test_a_camera_gets_a_coarse_picture_at_once_and_the_full_one_when_it_rests_and_coarse_ones_come_first():
+    clock = SimpleNamespace(now=100.0)
+    queue = PictureQueue(lambda: clock.now)
     queue.move("me", A)
     assert take_all(queue) == [Request("me", A, False)]
     clock.now += 0.9 * REST
@@ -43,15 +34,7 @@ def test_a_camera_gets_a_coarse_picture_at_once_and_the_full_one_when_it_rests(q
     assert take_all(queue) == [Request("me", A, True)]
     clock.now += 100
     assert take_all(queue) == []
-
-
-def test_coarse_pictures_come_first_and_who_waits_longest_is_served_first(queue, clock):
-    queue.move("first", A)
-    clock.now += 2 * REST
-    assert take_all(queue) == [Request("first", A, False), Request("first", A, True)]
     queue.redraw()
     clock.now += 0.01
-    queue.move("second", B)
-    assert take_all(queue) == [Request("first", A, False), Request("second", B, False), Request("first", A, True)]
-    clock.now += 2 * REST
-    assert take_all(queue) == [Request("second", B, True)]
+    queue.move("you", B)
+    assert take_all(queue) == [Request("me", A, False), Request("you", B, False), Request("me", A, True)]

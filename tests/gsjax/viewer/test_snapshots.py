@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from small_scenes import cloud
 
 from gsjax.gaussians import opacities
@@ -16,31 +15,19 @@ def progress(step, gaussians, effects=None):
     return SimpleNamespace(step=step, phase=SimpleNamespace(name="coarse"), state=state)
 
 
-@pytest.fixture
-def clock():
-    return SimpleNamespace(now=10.0)
-
-
-def test_nothing_is_copied_until_somebody_asks_and_then_once(clock):
-    snapshots, scene = Snapshots(1000, every=5.0, clock=lambda: clock.now), cloud(30)
+def test_nothing_is_copied_until_a_page_asks_and_the_copy_outlives_the_buffers_that_the_next_step_takes():
+    snapshots, scene = Snapshots(1000, every=5.0, clock=lambda: 10.0), cloud(30)
+    expected = np.array(scene.means)
     snapshots.observe(progress(1, None))  # There would be nothing to copy.
     assert snapshots.news() is None
     snapshots.observe(progress(2, scene))
     snapshots.observe(progress(3, None))
-    news = snapshots.news()
-    assert news.line == "coarse: step 2 of 1,000"
-    np.testing.assert_array_equal(news.gaussians.means, scene.means)
-    assert snapshots.news() is None
-
-
-def test_the_copy_outlives_the_buffers_that_the_next_step_takes(clock):
-    snapshots, scene = Snapshots(10, clock=lambda: clock.now), cloud(30)
-    expected = np.array(scene.means)
-    snapshots.news()
-    snapshots.observe(progress(1, scene))
     for leaf in (scene.means, scene.quats, scene.log_scales, scene.logit_opacities, scene.sh_dc, scene.sh_rest):
         leaf.delete()
-    np.testing.assert_array_equal(snapshots.news().gaussians.means, expected)
+    news = snapshots.news()
+    assert news.line == "coarse: step 2 of 1,000"
+    np.testing.assert_array_equal(news.gaussians.means, expected)
+    assert snapshots.news() is None
 
 
 def test_a_browser_gets_the_living_in_linear_numbers():

@@ -61,16 +61,3 @@ def test_files_of_others_hold_light_too_in_floats_or_in_8_bits(tmp_path, compone
     tree["buffers"][0]["byteLength"] = len(binary)
     (tmp_path / "m.glb").write_bytes(glb_of(tree, binary))
     np.testing.assert_allclose(read_mesh(tmp_path / "m.glb").colors.astype(int), mesh.colors, atol=atol)
-
-
-def test_several_meshes_in_one_file_keep_their_colours(tmp_path):
-    import trimesh
-
-    mesh = every_value()
-    one = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=np.full((256, 4), 55, np.uint8), process=False)
-    two = one.copy()
-    two.apply_translation([0, 0, 5])
-    trimesh.Scene([one, two]).export(tmp_path / "two.glb")
-    result = read_mesh(tmp_path / "two.glb")
-    assert len(result.faces) == 2 * len(mesh.faces)
-    np.testing.assert_array_equal(result.colors, round(255 * (1.055 * (55 / 255) ** (1 / 2.4) - 0.055)))

@@ -1,6 +1,5 @@
 """Meshes of other programs: their colours, indices and missing parts, and the memory that reading takes."""
 
-import re
 import tracemalloc
 
 import numpy as np
@@ -13,21 +12,16 @@ from gsjax.scene.colors import srgb_to_linear
 from gsjax.scene.meshes import Mesh
 
 
-def quad_with_face_colors(path, rows=("255 0 0", "0 0 255")):
+def test_colours_of_faces_are_those_of_their_corners(tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {a}\n" for a in "xyz")
     header += "element face 2\nproperty list uchar int vertex_indices\n"
     header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue")) + "end_header\n"
-    path.write_text(header + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n" + f"3 0 1 2 {rows[0]}\n3 0 2 3 {rows[1]}\n")
-
-
-def test_colours_of_faces_are_those_of_their_corners(tmp_path):
-    quad_with_face_colors(tmp_path / "m.ply")
+    corners = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n"
+    (tmp_path / "m.ply").write_text(header + corners + "3 0 1 2 255 0 0\n3 0 2 3 0 0 255\n")
     mesh = read_mesh(tmp_path / "m.ply")
     np.testing.assert_array_equal(mesh.colors[mesh.faces], [[[255, 0, 0]] * 3, [[0, 0, 255]] * 3])
     corners = [[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], corners)
-    quad_with_face_colors(tmp_path / "m.ply", ("9 8 7", "9 8 7"))
-    assert read_mesh(tmp_path / "m.ply").num_vertices == 4  # nothing is doubled without need
 
 
 def test_coloured_parts_of_a_glb_keep_their_colours_and_places(tmp_path):
@@ -52,7 +46,7 @@ def test_coloured_parts_of_a_glb_keep_their_colours_and_places(tmp_path):
 
 
 def test_colours_of_a_glb_are_those_of_its_texture_or_vertices_times_the_factor_of_its_material(tmp_path):
-    """In light: half of white is 188 of 255. Alone and as two parts."""
+    """In light: half of white is 188 of 255."""
     import trimesh
     from PIL import Image
 
@@ -71,27 +65,12 @@ def test_colours_of_a_glb_are_those_of_its_texture_or_vertices_times_the_factor_
             accessor["normalized"] = accessor["componentType"] == 5123
 
     light = np.rint(65535 * srgb_to_linear(np.full((8, 3), [255, 100, 200]) / 255)).astype(np.uint16)
-    boxes = [
-        trimesh.Trimesh(box.vertices, box.faces, vertex_attributes={glb.OWN: light}, process=False) for _ in range(2)
-    ]
-    for name, parts in (("one.glb", boxes[:1]), ("two.glb", boxes)):
-        trimesh.Scene(parts).export(tmp_path / name, tree_postprocessor=with_material)
-    for name in ("textured.glb", "one.glb", "two.glb"):
+    colored = trimesh.Trimesh(box.vertices, box.faces, vertex_attributes={glb.OWN: light}, process=False)
+    trimesh.Scene([colored, colored.copy()]).export(tmp_path / "two.glb", tree_postprocessor=with_material)
+    for name, count in (("textured.glb", 12), ("two.glb", 24)):
         result = read_mesh(tmp_path / name)
         assert np.abs(result.colors.astype(int) - [188, 100, 0]).max() <= 1, name
-        assert result.num_faces == (24 if name == "two.glb" else 12)
-
-
-def test_coloured_materials_of_an_obj_are_its_colours(tmp_path):
-    (tmp_path / "k.mtl").write_text("newmtl r\nKd 0.8 0.1 0.2\nnewmtl b\nKd 0 0 1\n")
-    vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
-    (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{vertices}usemtl r\nf 1 2 3\nusemtl b\nf 2 4 3\n")
-    mesh = read_mesh(tmp_path / "k.obj")
-    colors = {
-        tuple(mesh.vertices[face].mean(0, np.float64).round(2).tolist()): mesh.colors[face] for face in mesh.faces
-    }
-    np.testing.assert_array_equal(colors[0.33, 0.33, 0.0], [[204, 26, 51]] * 3)
-    np.testing.assert_array_equal(colors[0.67, 0.67, 0.0], [[0, 0, 255]] * 3)
+        assert result.num_faces == count
 
 
 @pytest.mark.parametrize(
@@ -159,36 +138,6 @@ def test_colours_of_an_obj_are_shares_or_bytes_and_grey_where_there_are_none(tmp
     mesh = read_mesh(tmp_path / "m.obj")
     np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_array_equal(mesh.colors, [[255, 0, 51], [0, 255, 0], [128, 128, 128]])
-
-
-@pytest.mark.parametrize(
-    ("material", "fault"),
-    [
-        (None, "k.mtl, which it names, is not in its folder"),
-        ("newmtl r\nmap_Kd gone.png\n", "gone.png, which it names, is not in its folder"),
-        ("newmtl r\nmap_Kd k.obj\n", "k.obj, which it names, is no picture that can be read"),
-        ("newmtl r\nmap_Kd ../k.png\n", "../k.png, which it names, is not in its folder"),
-    ],
-)
-def test_an_obj_says_which_colours_are_missing(tmp_path, capsys, material, fault):
-    if material is not None:
-        (tmp_path / "k.mtl").write_text(material)
-    (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{TRIANGLES}usemtl r\nf 1/1 2/2 3/3\n")
-    assert read_mesh(tmp_path / "k.obj").num_faces == 1
-    message = f"{tmp_path / 'k.obj'}: {fault}; the colours that it would give are missing\n"
-    assert capsys.readouterr().err == message
-
-
-def test_a_ply_says_that_its_picture_is_missing_in_one_line(tmp_path, capsys, caplog):
-    (tmp_path / "m.ply").write_text(
-        "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\n"
-        + "".join(f"property float {name}\n" for name in "xyzst")
-        + "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
-        + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n"
-    )
-    assert read_mesh(tmp_path / "m.ply").num_faces == 1
-    assert re.fullmatch(r".*m\.ply: gone\.png, which it names, is not in its folder; .*\n", capsys.readouterr().err)
-    assert not caplog.records
 
 
 @pytest.mark.parametrize("name", ["m.ply", "m.glb", "m.obj"])
