@@ -130,24 +130,19 @@ def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp
 def test_a_place_without_the_photos_of_the_run_is_refused_and_not_recorded(listed, tmp_path, capfd):
     run, other = tmp_path / "run", tmp_path / "other"
     pipeline.train(listed, run, SETTINGS)
-    frame_of_another = {**json_files.read(listed / "transforms.json")["frames"][0], "file_path": "images/IMG_0.png"}
-    meta = {**json_files.read(listed / "transforms.json"), "frames": [frame_of_another]}
+    shutil.copytree(listed, other)
+    meta = json_files.read(other / "transforms.json")
+    for frame in meta["frames"]:
+        path = other / frame["file_path"]
+        frame["file_path"] = f"images/IMG_{path.name}"
+        path.rename(other / frame["file_path"])
     json_files.write(other / "transforms.json", meta)
-    shutil.copytree(listed / "images", other / "images")
-    (other / "images" / NAMES[0]).rename(other / "images/IMG_0.png")
-    faults = {
-        ("train", "--out", str(run), "--resume", "--scene", str(other)): f"{other}: has none of the ",
-        ("eval", str(run), "--scene", str(other)): f"{other}: has none of the ",
-        (
-            "train",
-            "--out",
-            "new",
-            "--scene",
-            str(other),
-        ): "--scene: is the new place of a run's data set, and goes with",
-        ("train", "--out", "new"): "SCENE: name the folder of the data set",
-    }
-    for command, fault in faults.items():
-        assert cli.main(list(command)) == 2
+    for command, fault in (
+        (["train", "--out", str(run), "--resume", "--scene", str(other)], f"{other}: has none of the "),
+        (["eval", str(run), "--scene", str(other)], f"{other}: has none of the "),
+        (["train", "--out", "new", "--scene", str(other)], "--scene: is the new place of a run's data set"),
+        (["train", "--out", "new"], "SCENE: name the folder of the data set"),
+    ):
+        assert cli.main(command) == 2
         assert fault in capfd.readouterr().err
     assert Run.open(run).manifest["scene"] == str(listed)
