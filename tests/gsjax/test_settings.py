@@ -12,9 +12,7 @@ from gsjax.config import as_record, merge, parse, to_dict
 from gsjax.errors import InputError
 from gsjax.presets import LENGTHS, PRESETS, preset
 from gsjax.settings import (
-    Density,
     EffectChoice,
-    Logging,
     Model,
     Phase,
     Photos,
@@ -121,9 +119,8 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
     settings = Settings(
         seed=np.int64(3),
         photos={"downscale": np.float32(2)},
-        supervision=Supervision(normals=Path("maps"), depth=Path("depth")),
-        model={"points": Path("points.ply"), "max_gaussians": jnp.int32(900), "sh_degree": np.array(2)},
-        effects=EffectChoice(sky_weight=1),
+        supervision=Supervision(normals=Path("maps")),
+        model={"max_gaussians": jnp.int32(900), "sh_degree": np.array(2)},
         schedule={
             "vanilla": np.bool_(False),
             "phases": [
@@ -131,20 +128,13 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
                 Phase("b", np.uint8(4), image_scale=np.int32(2)),
             ],
         },
-        rates={"means": np.float64(1e-3), "decay_steps": np.int64(9)},
-        density={"rule": "error", "start": np.int16(7)},
-        logging={"metrics_every": np.int64(5)},
     )
     plain = Settings(
         seed=3,
         photos=Photos(downscale=2.0),
-        supervision=Supervision(normals="maps", depth="depth"),
-        model=Model(points="points.ply", max_gaussians=900, sh_degree=2),
-        effects=EffectChoice(sky_weight=1.0),
+        supervision=Supervision(normals="maps"),
+        model=Model(max_gaussians=900, sh_degree=2),
         schedule=Schedule((Phase("a", 3, Weights(l1=0.5, mine=1.0)), Phase("b", 4, image_scale=2))),
-        rates=Rates(means=1e-3, decay_steps=9),
-        density=Density(rule="error", start=7),
-        logging=Logging(metrics_every=5),
     )
     assert settings == plain and hash(settings) == hash(plain)
     assert json.loads(json.dumps(to_dict(settings))) == to_dict(plain)

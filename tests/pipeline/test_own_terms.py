@@ -93,6 +93,6 @@ def test_a_gradient_that_is_not_finite_ends_a_run_that_goes_on_once_its_term_is_
 def test_a_term_of_a_later_phase_is_tried_before_any_photo_is_read(scene, tmp_path, monkeypatch, own, line):
     monkeypatch.setattr(sys.modules["gsjax.planning.preparation"], "preload", None)  # What reads a photo.
     with pytest.raises(InputError, match=f"^{line}"):
-        given = {name: term for name, term in {**TERMS, **own}.items() if term is not None}
-        pipeline.train(scene, tmp_path / "run", ENDED, terms=given)
+        handed_in = {name: term for name, term in {**TERMS, **own}.items() if term is not None}
+        pipeline.train(scene, tmp_path / "run", ENDED, terms=handed_in)
     assert not (tmp_path / "run").exists()

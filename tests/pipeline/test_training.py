@@ -41,13 +41,10 @@ def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
 
 def test_a_report_is_left_and_a_run_that_kept_no_pictures_is_rendered_for_it(run, scene, tmp_path):
     pictures = {file.name: read_image(file)[0].astype(float) for file in (run / "pictures").iterdir()}
-    assert sorted(pictures) == [
-        f"{view}_{kind}.jpg" for view in ("0000", "0008") for kind in ("normals", "photo", "render")
-    ]
     photo, other = (read_image(scene / "images" / name)[0] for name in ("000.png", "008.png"))
     # JPEG leaves 5 of 255 in a picture of 48 pixels; the other view is far from that.
     assert np.abs(pictures["0000_photo.jpg"] - photo).mean() < 8 < np.abs(pictures["0000_photo.jpg"] - other).mean() / 3
-    assert (run / "report.html").read_text().count("data:image/jpeg") == 6
+    assert (run / "report.html").read_text().count("data:image/jpeg") == len(pictures) == 6
 
     shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("pictures"))
     pipeline.report(tmp_path / "run")

@@ -26,10 +26,8 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
     summary = pipeline.train(scene, whole, settings)
     train_until_killed(9, scene, stopped, settings)
-    with monkeypatch.context() as patched:
-        patched.setitem(
-            pipeline.train.__globals__, "score_images", lambda *_, **__: {"psnr": 0}
-        )  # The other is scored.
+    with monkeypatch.context() as patched:  # The other is scored.
+        patched.setitem(pipeline.train.__globals__, "score_images", lambda *_, **__: {"psnr": 0})
         pipeline.train(scene, stopped, settings, resume=True)
     for file in ("gaussians.ply", "effects.json", "poses.json", "cameras.json", "background.json"):
         assert (stopped / file).read_bytes() == (whole / file).read_bytes()
@@ -44,9 +42,8 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert summary["psnr_track_gains_aligned"] >= summary["psnr_track_gains"]
     assert manifest["cameras"].startswith("cameras turned by ")
     evaluated = pipeline.evaluate(whole)
-    assert {name: evaluated[name] for name in scores} == pytest.approx(
-        {name: summary[name] for name in scores}, abs=1e-3
-    )
+    for name in scores:
+        assert evaluated[name] == pytest.approx(summary[name], abs=1e-3), name
     # With the looks of its own tracks in place of its neighbours', a photo has the score of those.
     photo_effects, frames = read_photo_effects(whole), scene_of_run(whole).held_out_frames
     own = photo_effects._replace(near_appearances=photo_effects.appearances)
@@ -69,9 +66,6 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         assert off == 0 if frame.held_out else 1e-6 < off < 0.05, frame.name
 
     assert open_result(whole).background.shape == (1, 3), "the built-in scene stands before one white"
-    three = pipeline.evaluate(run, three_ways=True)
-    assert scores <= three.keys() and not aligned & three.keys()
-    assert three["psnr"] == pytest.approx(json_files.read(run / "manifest.json")["psnr"], abs=1e-3)
 
     pipeline.train(scene, auto, config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "auto"}})))
     assert json_files.read(auto / "manifest.json")["effects"]["simulated"] == []

@@ -115,34 +115,6 @@ def test_the_terms_are_those_written_out_in_float64(gaussians, alone):
         assert_close(value, expected[index], rtol=1e-4, atol=0, why="float32 over deviations of a hundredth of a unit")
 
 
-@pytest.mark.parametrize("term", TERMS)
-def test_gradients_equal_finite_differences(term, x64):
-    """Discs in parallel, whose normals agree: what the weights of the normals hold back is of second order there."""
-    rng = np.random.default_rng(1)
-    gaussians = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), WALL)
-    first = {
-        "means": gaussians.means + rng.uniform(-0.02, 0.02, (COUNT, 3)),
-        "log_scales": gaussians.log_scales + rng.uniform(-0.1, 0.1, (COUNT, 3)),
-        "quats": gaussians.quats,
-        "logit_opacities": gaussians.logit_opacities,
-    }
-    nearest = nearest_of(gaussians)
-    depth = DISTANCE + 0.01 * rng.normal(size=DEPTH.shape)
-    steps = {name: 1e-6 * rng.normal(size=leaf.shape) for name, leaf in first.items()}
-    depth_step = 1e-6 * rng.normal(size=depth.shape)
-
-    def moved(sign):
-        there = replace(gaussians, **{name: leaf + sign * steps[name] for name, leaf in first.items()})
-        return value_and_gradient(term, there, jnp.asarray(depth + sign * depth_step), nearest=nearest)
-
-    _, (to_gaussians, to_depth) = moved(0)
-    change = 0.5 * (float(moved(1)[0]) - float(moved(-1)[0]))
-    expected = sum(float(np.sum(getattr(to_gaussians, name) * step)) for name, step in steps.items())
-    expected += float(np.sum(to_depth * depth_step))
-    assert abs(expected) > 1e-8
-    assert change == pytest.approx(expected, rel=1e-4)
-
-
 HARD = {
     "coincident and opaque": replace(
         WALL,
