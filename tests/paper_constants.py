@@ -7,7 +7,6 @@ A number that the code has inside is read from what it does. "Paper" is its sour
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 from unittest import mock
 
@@ -23,10 +22,7 @@ from gsjax.binding.refinement import Refinement
 from gsjax.gaussians import opacities
 from gsjax.meshing import level_set, poisson
 from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.pipeline import training_journal
 from gsjax.presets import PRESETS, REFINED_BY
-from gsjax.runs.photo_effects import PhotoEffects
-from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import MEANS_FINAL, Density, Rates, Settings
 from gsjax.training import initialize
 from gsjax.training.densification import gradient_driven
@@ -76,19 +72,6 @@ def vertex_rates(name: str) -> tuple[float, float]:
     return tuple(float(f"{float(rate(step)):.3g}") for step in (0, last - 1))
 
 
-def degree_steps(name: str) -> int:
-    """Steps of a refinement after which the next degree joins, as its compiled step is told."""
-    settings, state = refined(name), SimpleNamespace(step=refined(name).steps)
-    data = SimpleNamespace(has_mattes=False)
-    with (
-        mock.patch.object(refinement, "make_refine_step") as factory,
-        mock.patch.object(refinement, "advance") as advance,
-    ):
-        advance.side_effect = lambda compiled, after, state, *_, **__: (compiled(1) and state, 1)
-        refinement.refine(settings, None, data, state, None, background=None, observe=lambda _: None, capacity=1)
-    return factory.call_args.kwargs["sh_every"]
-
-
 def image_weights(settings: Settings) -> set[tuple[float, float]]:
     return {(phase.weights["l1"], phase.weights["dssim"]) for phase in settings.schedule.phases}
 
@@ -117,19 +100,6 @@ def first_opacity() -> float:
 def reset_to() -> float:
     """What an opaque Gaussian is reset to by the default limit."""
     return rounded(opacities(gradient_driven.reset_opacities(cloud(1), gradient_driven.RESET_OPACITY))[0])
-
-
-def scored_while_training() -> list[str]:
-    """Names of the photos that `held_out_psnr` of `metrics.jsonl` is of."""
-    pixels = Pixels(np.zeros((2, 3, 3), np.uint8))
-    frames = tuple(frame_of(n, np.eye(4), np.eye(3), pixels, held_out=n == "held_out") for n in ("held_out", "trained"))
-    journal = object.__new__(training_journal.TrainingJournal)
-    journal.plan = SimpleNamespace(background=None, depth_mode="plane")
-    journal.scene = Scene(Path(), "colmap", frames, np.zeros((1, 3)), np.zeros((1, 3), np.uint8))
-    journal.chosen = SimpleNamespace(photo_effects=lambda _: PhotoEffects())
-    with mock.patch.object(training_journal, "score_images", return_value={"psnr": 1.0}) as score:
-        assert journal._held_out(SimpleNamespace(gaussians=None, effects=())) == {"held_out_psnr": 1.0}
-    return [frame.name for frame in score.call_args.args[1]]
 
 
 def meshed(schedule: str) -> dict[str, Any]:
@@ -178,7 +148,6 @@ CONSTANTS = (
              lambda: (preset("paper_6k_15k").rates.decay_steps, preset("paper_13k_7k").rates.decay_steps)),
     Constant("Gaussians of the tables are on the mesh alone", False, "SuGaR, metrics of the refined model",
              lambda: protocol("paper_6k_15k")["keep_free"]),
-    Constant("scored while training", ["held_out"], "3DGS, train.py", scored_while_training),
     # 3DGS
     Constant("rates of the means", (1.6e-4, 1.6e-6), DGS, lambda: (Rates().means, MEANS_FINAL)),
     Constant("rates of colour", (2.5e-3, 2.5e-3 / 20), DGS, lambda: (Rates().sh_dc, Rates().sh_rest)),
@@ -223,8 +192,6 @@ CONSTANTS = (
              "SuGaR, refine.py: to a hundredth in 30,000 steps at every length", lambda: vertex_rates("paper_13k_7k")),
     Constant("vertices' rate at the first step and after 15,000", (1.6e-4, 1.6e-5), "SuGaR, refine.py",
              lambda: vertex_rates("paper_6k_15k")),
-    Constant("refinement's next degree", (1000, 1000), "SuGaR, refine.py: at every length",
-             lambda: (degree_steps("paper_6k_15k"), degree_steps("paper_13k_7k"))),
     Constant("surface level, points, neighbours, samples", (0.3, 10_000_000, 16, 21), "SuGaR, coarse_mesh.py",
              lambda: (LevelSetOptions().level, LevelSetOptions().num_points, level_set.NEIGHBORS, level_set.SAMPLES)),
     Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: level_set.MIN_OPACITY),

@@ -57,20 +57,6 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, set
     assert len({str(config.to_dict(settings)) for settings in settings_by_run.values()}) == len(variants)
 
 
-@pytest.mark.parametrize(
-    ("on", "mix", "time"), [("built_in", 2.40, 850), ("bunny_plane", 2.55, 800), ("fox", 2.40, 700)]
-)
-def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
-    """By the costs that are measured on a config, or else on the built-in scene."""
-    sugar = {"built_in": 4.47, "bunny_plane": 5.09}.get(on, 4.47)
-    variants = compare.load_study("baselines", on).variants
-    surface = {name: change["schedule"]["phases"][-1] for name, change in variants.items()}
-    assert surface["ours, mix"]["steps"] == time
-    assert surface["vanilla"]["steps"] == round(mix * time)
-    assert surface["SuGaR, sdf"]["steps"] == round(mix * time / sugar)
-    assert {change["model"]["depth_mode"] for change in variants.values()} == {"front"}
-
-
 def test_unknown_names_and_a_folder_of_another_config_are_one_line(compare, settings_by_run, tmp_path):
     with pytest.raises(InputError, match="no study 'baseline'; the nearest is 'baselines'"):
         compare.load_study("baseline")

@@ -5,7 +5,6 @@ import json
 import re
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -139,28 +138,6 @@ def test_finished_runs_are_not_done_again_and_more_may_be_asked(study):
     with pytest.raises(InputError, match=r"was begun with another settings\.model"):
         study.run("model.sh_degree=1", seeds=3)
     assert study.started == []
-
-
-def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monkeypatch, tmp_path):
-    paper_run, done, broken = scripts("paper_run"), [], ["mesh"]
-
-    def stage(name):
-        if name in broken:
-            raise InputError("nothing to mesh")
-        done.append(name)
-        return {"psnr": 30.0}
-
-    names = ("train", "coarse", "mesh", "texture", "sheet", "refine", "refined")
-    monkeypatch.setattr(paper_run, "_stages", lambda *_: {name: partial(stage, name) for name in names})
-    once = partial(paper_run.run, "room", tmp_path, tmp_path / "out", schedule="paper_6k_15k", seed=0)
-    with pytest.raises(InputError, match="nothing to mesh"):
-        once()
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert result["coarse"] == {"psnr": 30.0} and "mesh" not in result and not paper_run.is_finished(result)
-    broken.clear()
-    assert paper_run.is_finished(once()) and done == list(names)
-    once(lpips=["vgg.onnx"])
-    assert done[len(names) :] == ["coarse", "refined"]
 
 
 @pytest.mark.long

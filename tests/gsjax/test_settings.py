@@ -146,13 +146,11 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
     [
         (lambda: Schedule(Phase("a", 3)), r"Schedule: phases is Phase\(.*, expected a list of a table of keys"),
         (lambda: Schedule([{"name": "a"}]), "Schedule: key 'phases.0.steps' is missing"),
-        (lambda: Settings(density="error"), "Settings: density is 'error', expected a table of keys"),
         (lambda: Settings(rates={"meens": 1e-3}), "Settings: unknown key 'rates.meens'; the nearest known one is"),
         (lambda: Phase("a", 3, {"l1": "much"}), "Phase: weights.l1 is 'much', expected float"),
         (lambda: Weights(l1=float("nan")), "Weights: l1 is nan, expected a finite number"),
         (lambda: Rates(decay_steps=1.5), "Rates: decay_steps is 1.5, expected int or null"),
         (lambda: Refinement(pixel_filter="box"), "Refinement: pixel_filter is 'box', expected one of"),
-        (lambda: as_record(Settings, "quick"), "Settings: the whole is 'quick', expected a table of keys"),
         (
             lambda: jax.jit(lambda degree: Model(sh_degree=degree))(3),
             "Model: sh_degree is .*, expected int",

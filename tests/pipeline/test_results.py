@@ -13,7 +13,7 @@ from trained_run import FEW_POINTS
 from gsjax import cli, pipeline
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.images import read_image
+from gsjax.io.images import image_size, read_image
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.metrics import geometry
 from gsjax.metrics.photos import score_images
@@ -114,6 +114,16 @@ def test_a_zoom_that_photos_do_not_allow_is_one_line(run, zoom, fault, capsys):
     assert fault in message and message.count("\n") == 1
 
 
+def test_pictures_of_held_out_photos_have_their_size_and_show_them_roughly(run, scene, tmp_path):
+    pipeline.render(run, tmp_path / "held_out", views="held_out")
+    files = sorted((tmp_path / "held_out").iterdir())
+    kinds = ("color", "depth", "normal")
+    assert [file.name for file in files] == [f"{name}_{kind}.png" for name in ("000", "008") for kind in kinds]
+    assert all(image_size(file) == (48, 40) for file in files)
+    photo, rendered = (read_image(file)[0].astype(float) for file in (scene / "images/000.png", files[0]))
+    assert np.abs(photo - rendered).mean() < 60
+
+
 def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_scores, scene, tmp_path, monkeypatch):
     settings_by_run = {}
 
@@ -139,8 +149,3 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_
     assert json_files.read(tmp_path / "demo/report.json")["floor"] == report["floor"]
     with pytest.raises(InputError, match="this folder is not empty"):
         demo.run(tmp_path / "demo")
-
-
-def test_a_folder_without_gaussians_is_no_run(tmp_path):
-    with pytest.raises(InputError, match="holds no gaussians.ply; it is no run folder"):
-        pipeline.mesh(tmp_path, tmp_path / "mesh.ply")
