@@ -73,7 +73,6 @@ def test_what_cannot_be_divided_is_refused_and_leaves_nothing(trained, scene, tm
     out = tmp_path / "blocks"
     with_poses = config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "poses"}}))
     for settings, count, fault in (
-        (WISHES, 12, r"--blocks 12: .*the cameras stand at \d+ places"),
         (WISHES, 8, r"--blocks 8: .*would have . photos to train on; make fewer"),
         (with_poses, 2, "--effects poses: what blocks find"),
     ):
