@@ -75,14 +75,6 @@ def test_a_loss_of_ones_own_is_descended_and_an_sdf_estimator_of_ones_own_aligne
     assert 0 < float(last.terms["facing"]) < 1
 
 
-def test_a_densification_rule_of_ones_own_decides(loaded):
-    rule = gsjax.DENSIFICATION_RULES["error"]._replace(
-        wanted_count=lambda gaussians, statistics, density, *, step, budget: jnp.int32(850)
-    )
-    state, _ = composed(loaded, {"l1": 1.0}, densify=rule, steps=40)
-    assert len(state.gaussians.alive()) == 850
-
-
 @pytest.mark.parametrize(
     ("losses", "options", "line"),
     [

@@ -82,6 +82,7 @@ def test_training_with_r_has_better_normals_and_a_better_mesh(scores_of, name, n
     assert with_r["chamfer"] < chamfer * without["chamfer"]
 
 
+@pytest.mark.long  # `tests/gsjax/pipeline/test_mesh.py` has a shorter one.
 def test_auto_selects_a_method_whose_mesh_is_about_the_best(run_of, scores_of):
     run = run_of("pixel_normal")
     chamfers = {name: scored_mesh(run, name)["chamfer"] for name in METHODS if name != "poisson"}
