@@ -1,4 +1,4 @@
-"""A headless Chromium that a test drives: opens pages, presses, takes screenshots."""
+"""A headless Chromium that a test drives: opens pages, takes screenshots."""
 
 import base64
 import itertools
@@ -39,37 +39,10 @@ class Tab:
                     raise RuntimeError(f"{method}: {answer['error']}")
                 return answer["result"]
 
-    def evaluate(self, expression: str) -> Any:
-        """The value of a JavaScript expression; a promise is waited for."""
-        result = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
-        if "exceptionDetails" in result:
-            raise RuntimeError(result["exceptionDetails"])
-        return result["result"].get("value")
-
-    def wait_for(self, expression: str) -> None:
-        """Until a JavaScript expression is true."""
-        until = time.monotonic() + PATIENCE
-        while not self.evaluate(expression):
-            if time.monotonic() > until:
-                raise TimeoutError(expression)
-            time.sleep(0.2)
-
     def screenshot(self) -> np.ndarray:
         """`[H, W, 3]` uint8."""
         png = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-
-    def press(self, x: float, y: float, to: tuple[float, float] | None = None) -> None:
-        """A click at a place in pixels of the page, or a drag from there."""
-        at = {"button": "left", "clickCount": 1}
-        self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, **at)
-        if to is not None:
-            for step in np.linspace(0, 1, 8)[1:]:
-                place = {"x": x + step * (to[0] - x), "y": y + step * (to[1] - y)}
-                self.call("Input.dispatchMouseEvent", type="mouseMoved", **place, button="left", buttons=1)
-                time.sleep(0.03)
-            x, y = to
-        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **at)
 
 
 def program() -> str | None:
@@ -78,7 +51,7 @@ def program() -> str | None:
 
 
 @contextmanager
-def browser(width: int, height: int, *, lowest_priority: bool = False) -> Iterator[Tab]:
+def browser(width: int, height: int) -> Iterator[Tab]:
     """A browser with one empty tab of this size; it ends with the block. Exits where there is none."""
     if program() is None:
         sys.exit("there is no Chromium: apt-get install chromium")
@@ -86,7 +59,6 @@ def browser(width: int, height: int, *, lowest_priority: bool = False) -> Iterat
         command = [program(), "--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--hide-scrollbars",
             f"--user-data-dir={profile}", f"--window-size={width},{height}", "--remote-debugging-port=0",
             "--remote-allow-origins=*", "about:blank"]  # fmt: skip
-        command = ["nice", "-n", "19", *command] if lowest_priority else command
         process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         try:
             tab = Tab(_first_tab(Path(profile) / "DevToolsActivePort"))

@@ -6,33 +6,28 @@ A number that the code has inside is read from what it does. "Paper" is its sour
 
 import importlib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 from unittest import mock
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from small_scenes import camera_at, cloud, discs
+from small_scenes import cloud
 
-from gsjax import config, pipeline, rendering
+from gsjax import config, pipeline
 from gsjax.binding import refinement
 from gsjax.binding.refinement import PRESETS as REFINEMENTS
 from gsjax.binding.refinement import Refinement
 from gsjax.gaussians import opacities
 from gsjax.meshing import level_set, poisson
 from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.pipeline import training_journal
 from gsjax.presets import PRESETS, REFINED_BY
-from gsjax.runs.photo_effects import PhotoEffects
-from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import MEANS_FINAL, Density, Rates, Settings
 from gsjax.training import initialize
 from gsjax.training.densification import gradient_driven
 from gsjax.training.optimizers import apply_gradients, make_optimizer
-from rasterizer import similarity
+from rasterizer import GSPLAT, similarity
 
 
 class Constant(NamedTuple):
@@ -77,19 +72,6 @@ def vertex_rates(name: str) -> tuple[float, float]:
     return tuple(float(f"{float(rate(step)):.3g}") for step in (0, last - 1))
 
 
-def degree_steps(name: str) -> int:
-    """Steps of a refinement after which the next degree joins, as its compiled step is told."""
-    settings, state = refined(name), SimpleNamespace(step=refined(name).steps)
-    data = SimpleNamespace(has_mattes=False)
-    with (
-        mock.patch.object(refinement, "make_refine_step") as factory,
-        mock.patch.object(refinement, "advance") as advance,
-    ):
-        advance.side_effect = lambda compiled, after, state, *_, **__: (compiled(1) and state, 1)
-        refinement.refine(settings, None, data, state, None, background=None, observe=lambda _: None, capacity=1)
-    return factory.call_args.kwargs["sh_every"]
-
-
 def image_weights(settings: Settings) -> set[tuple[float, float]]:
     return {(phase.weights["l1"], phase.weights["dssim"]) for phase in settings.schedule.phases}
 
@@ -118,50 +100,6 @@ def first_opacity() -> float:
 def reset_to() -> float:
     """What an opaque Gaussian is reset to by the default limit."""
     return rounded(opacities(gradient_driven.reset_opacities(cloud(1), gradient_driven.RESET_OPACITY))[0])
-
-
-def alpha_of(opacity: float, *, layers: int = 1, depth: float = 1.0) -> float:
-    """The alpha that a view as training sees it has before wide discs, one right behind the other."""
-    points = np.stack([np.zeros(layers), np.zeros(layers), depth * (1 + 1e-3 * np.arange(layers))], axis=1)
-    wide = discs(points, [0, 0, 1], 10 * depth, thickness=1e-6, opacity=opacity)
-    return float(rendering.render(wide, camera_at(), capacity=2**14, background=jnp.zeros(3)).alphas.max())
-
-
-def blended_layers(opacity: float) -> float:
-    """How many of a hundred layers are blended before a pixel is full."""
-    return round(float(np.log(1 - alpha_of(opacity, layers=100)) / np.log(1 - opacity)), 2)
-
-
-def slope_at_clamp() -> float:
-    """The gradient of the alpha of an opaque disc to its opacity."""
-    wide = discs(np.array([[0, 0, 1.0]]), [0, 0, 1], 10, opacity=0.995)
-
-    def alpha(logit):
-        scene = replace(wide, logit_opacities=logit)
-        return rendering.render(scene, camera_at(), capacity=2**10, background=jnp.zeros(3)).alphas.max()
-
-    return float(jax.grad(alpha)(wide.logit_opacities)[0])
-
-
-def drawn_sigmas(opacity: float) -> float:
-    """How far from its centre a splat is drawn horizontally, in standard deviations."""
-    disc = discs(np.array([[0, 0, 1.0]]), [0, 0, 1], 0.2, opacity=opacity)
-    camera = camera_at(size=(400, 400), focal=200.0)
-    extents = rendering.splat(disc, camera, 2**10).projection.extents
-    return round(float(extents[0, 0, 0]) / float(np.hypot(0.2 * 200, np.sqrt(0.3))), 2)
-
-
-def scored_while_training() -> list[str]:
-    """Names of the photos that `held_out_psnr` of `metrics.jsonl` is of."""
-    pixels = Pixels(np.zeros((2, 3, 3), np.uint8))
-    frames = tuple(frame_of(n, np.eye(4), np.eye(3), pixels, held_out=n == "held_out") for n in ("held_out", "trained"))
-    journal = object.__new__(training_journal.TrainingJournal)
-    journal.plan = SimpleNamespace(background=None, depth_mode="plane")
-    journal.scene = Scene(Path(), "colmap", frames, np.zeros((1, 3)), np.zeros((1, 3), np.uint8))
-    journal.chosen = SimpleNamespace(photo_effects=lambda _: PhotoEffects())
-    with mock.patch.object(training_journal, "score_images", return_value={"psnr": 1.0}) as score:
-        assert journal._held_out(SimpleNamespace(gaussians=None, effects=())) == {"held_out_psnr": 1.0}
-    return [frame.name for frame in score.call_args.args[1]]
 
 
 def meshed(schedule: str) -> dict[str, Any]:
@@ -202,19 +140,14 @@ CONSTANTS = (
              lambda: budgets(preset("paper_13k_7k"))),
     Constant("lambda_r where no scene has its own", 0.2, "Paper, after eq. 3: between 0.1 and 0.4",
              lambda: importlib.import_module("paper.scenes").PaperScene("", "").lambda_r),
-    Constant("defaults are the first budget", [VANILLA, ENTROPY, Budget(6000, False, 0, 0.2, 0)], PAPER,
-             lambda: budgets(Settings())),
     Constant("refined for", (15_000, 7_000), PAPER,
              lambda: (refined("paper_6k_15k").steps, refined("paper_13k_7k").steps)),
-    Constant("refined by the protocol for", (15_000, 7_000), PAPER,
-             lambda: (protocol("paper_6k_15k")["steps"], protocol("paper_13k_7k")["steps"])),
     Constant("weights of L1 and D-SSIM", {(0.8, 0.2)}, "Paper, after eq. 3; 3DGS for the 0.8 (docs/deviations.md)",
              lambda: image_weights(Settings()) | image_weights(preset("paper_13k_7k"))),
     Constant("the means' rate falls for", (30_000, 30_000), "Paper: 30,000 steps in all",
              lambda: (preset("paper_6k_15k").rates.decay_steps, preset("paper_13k_7k").rates.decay_steps)),
     Constant("Gaussians of the tables are on the mesh alone", False, "SuGaR, metrics of the refined model",
              lambda: protocol("paper_6k_15k")["keep_free"]),
-    Constant("scored while training", ["held_out"], "3DGS, train.py", scored_while_training),
     # 3DGS
     Constant("rates of the means", (1.6e-4, 1.6e-6), DGS, lambda: (Rates().means, MEANS_FINAL)),
     Constant("rates of colour", (2.5e-3, 2.5e-3 / 20), DGS, lambda: (Rates().sh_dc, Rates().sh_rest)),
@@ -234,17 +167,10 @@ CONSTANTS = (
     Constant("opacity that is pruned", 0.005, "3DGS, train.py", lambda: gradient_driven.MIN_OPACITY),
     Constant("opacities are reset to", 0.01, "3DGS, reset_opacity", reset_to),
     Constant("opacities are reset every", 3000, DGS, lambda: Density().reset_every),
-    Constant("alpha is at most", 0.99, "3DGS, forward.cu", lambda: rounded(alpha_of(0.9999))),
-    Constant("alphas that are skipped: under 1/255", (False, True), "3DGS, forward.cu",
-             lambda: (alpha_of(1 / 255.5) > 0, alpha_of(1 / 254.5) > 0)),
-    Constant("layers blended at a transmittance above 1e-4", (87, 13), "3DGS, forward.cu: 0.9^87, 0.5^13",
-             lambda: (blended_layers(0.1), blended_layers(0.5))),
-    # gsplat, where 3DGS differs (docs/deviations.md)
-    Constant("near plane", (False, True), "gsplat 1.6: 0.01; 3DGS: 0.2",
-             lambda: (alpha_of(0.5, depth=0.0099) > 0, alpha_of(0.5, depth=0.0101) > 0)),
-    Constant("gradient at the clamp", 0.0, "gsplat 1.6; 3DGS: as below it", slope_at_clamp),
-    Constant("ends of a splat, sigmas", (3.33, 2.16), "gsplat 1.6: sqrt(2 ln(255 opacity)), at most 3.33; 3DGS: 3",
-             lambda: (drawn_sigmas(0.999), drawn_sigmas(0.04))),
+    # Those of blending: `tests/rasterizer` holds what they do.
+    Constant("alpha: at most, least, and the transmittance that ends a pixel", (0.99, 1 / 255, 1e-4),
+             "3DGS, forward.cu", lambda: (GSPLAT.alpha_max, GSPLAT.alpha_min, GSPLAT.transmittance_min)),
+    Constant("ends of a splat, sigmas", 3.33, "gsplat 1.6, where 3DGS has 3", lambda: GSPLAT.extent_sigmas),
     Constant("SSIM's window", (11, 1.5), "3DGS, loss_utils.py",
              lambda: (2 * similarity.WINDOW_RADIUS + 1, similarity.WINDOW_SIGMA)),
     Constant("3DGS at full length", [Budget(30_000, True, 0, 0, 0)], DGS,
@@ -266,8 +192,6 @@ CONSTANTS = (
              "SuGaR, refine.py: to a hundredth in 30,000 steps at every length", lambda: vertex_rates("paper_13k_7k")),
     Constant("vertices' rate at the first step and after 15,000", (1.6e-4, 1.6e-5), "SuGaR, refine.py",
              lambda: vertex_rates("paper_6k_15k")),
-    Constant("refinement's next degree", (1000, 1000), "SuGaR, refine.py: at every length",
-             lambda: (degree_steps("paper_6k_15k"), degree_steps("paper_13k_7k"))),
     Constant("surface level, points, neighbours, samples", (0.3, 10_000_000, 16, 21), "SuGaR, coarse_mesh.py",
              lambda: (LevelSetOptions().level, LevelSetOptions().num_points, level_set.NEIGHBORS, level_set.SAMPLES)),
     Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: level_set.MIN_OPACITY),

@@ -12,10 +12,10 @@ from gsjax.scene import Frame, Pixels, Scene, Tracks, frame_of, with_pixels
 SIZE, FOCAL = (96, 72), 80.0
 
 
-def wall(num_photos: int = 12, *, num_points: int = 400, distances=(3.0,), seed: int = 0) -> Scene:
-    """Photos of the plane z = 0, by cameras that look along +z from so far, and points on it, seen wherever in view."""
-    rng = np.random.default_rng(seed)
-    eyes = np.c_[rng.uniform(-0.8, 0.8, (num_photos, 2)), -np.resize(np.asarray(distances), num_photos)]
+def wall(num_photos: int = 12, *, num_points: int = 400) -> Scene:
+    """Photos of the plane z = 0, by cameras that look along +z from 3 away, and points on it, seen wherever in view."""
+    rng = np.random.default_rng(0)
+    eyes = np.c_[rng.uniform(-0.8, 0.8, (num_photos, 2)), np.full(num_photos, -3.0)]
     frames = tuple(_photo(f"{index:02d}.png", eye) for index, eye in enumerate(eyes))
     points = np.c_[rng.uniform((-2, -1.2), (2, 1.2), (num_points, 2)), np.zeros(num_points)]
     photo, point, rays = [], [], []

@@ -62,9 +62,9 @@ def plaster(color, light=None) -> Paint:
     return paint
 
 
-def lamp(at, reach: float, floor=0.55) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+def lamp(at, reach: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Light that falls off about a place."""
-    return lambda points, axis: floor + (1 - floor) / (1 + np.square(points - np.array(at)).sum(1) / reach**2)
+    return lambda points, axis: 0.55 + 0.45 / (1 + np.square(points - np.array(at)).sum(1) / reach**2)
 
 
 def split(is_one: Callable[[np.ndarray, np.ndarray], np.ndarray], one: Paint, other: Paint) -> Paint:
@@ -72,27 +72,22 @@ def split(is_one: Callable[[np.ndarray, np.ndarray], np.ndarray], one: Paint, ot
     return lambda points, axis: np.where(is_one(points, axis)[:, None], one(points, axis), other(points, axis))
 
 
-def photograph(place: Place, *, gains=0.0, noise=1.0, seed=0, root=Path("place")) -> tuple[Scene, list[np.ndarray]]:
+def photograph(place: Place, *, gains=0.0) -> tuple[Scene, list[np.ndarray]]:
     """The scene with its tracks, and `[H, W]` bool a photo: which pixels show what is behind all.
 
-    Args:
-        place: What is photographed.
-        gains: Standard deviation of the photos' exposures, EV.
-        noise: Of a pixel, levels.
-        seed: Of gains, noise and points.
-        root: The scene's.
+    `gains` is the standard deviation of the photos' exposures, EV.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     frames, truths = [], []
     for index, (eye, target) in enumerate(zip(place.eyes, place.targets, strict=True)):
         viewmat = look_at(np.asarray(eye, float), np.asarray(target, float), np.array([0.0, 0.0, 1.0]))
         image, truth = _photo(place, viewmat, 2 ** (gains * rng.normal() / 2.2))
-        image = np.rint(np.clip(image + noise * rng.normal(size=image.shape), 0, 255)).astype(np.uint8)
+        image = np.rint(np.clip(image + rng.normal(size=image.shape), 0, 255)).astype(np.uint8)
         frames.append(frame_of(f"{index:02d}.png", viewmat.astype(np.float32), _intrinsics(), Pixels(image)))
         truths.append(truth)
     points, tracks = _tracks(place, frames, rng)
     colors = np.full((len(points), 3), 128, np.uint8)
-    return Scene(root, "colmap", tuple(frames), points, colors, tracks=lambda: tracks), truths
+    return Scene(Path("place"), "colmap", tuple(frames), points, colors, tracks=lambda: tracks), truths
 
 
 def _intrinsics() -> np.ndarray:
@@ -182,14 +177,13 @@ def _on_surfaces(boxes, rng) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def walk(count: int, radius, height: float, *, look: float = 2.0, up: float = 0.25, turns: float = 2.4):
-    """Eyes and targets of a walk about the middle, each looking another way, `up` above the eye at distance `look`."""
+def walk(count: int, radius, height: float):
+    """Eyes and targets of a walk about the middle, each looking another way and a little up."""
     angles = 2 * np.pi * np.arange(count) / count
     rx, ry = np.broadcast_to(radius, 2)
     eyes = np.stack([rx * np.cos(angles), ry * np.sin(angles), height + 0.1 * np.sin(3 * angles)], 1)
-    ways = angles + turns * np.arange(count)
-    ahead = np.stack([np.cos(ways), np.sin(ways), np.full(count, up / look)], 1)
-    return eyes, eyes + look * ahead
+    ways = angles + 2.4 * np.arange(count)
+    return eyes, eyes + np.stack([2 * np.cos(ways), 2 * np.sin(ways), np.full(count, 0.25)], 1)
 
 
 def ring(count: int, radius: float, height: float, target=(0.0, 0.0, 1.0), arc=2 * np.pi):

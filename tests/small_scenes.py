@@ -3,8 +3,6 @@
 import fcntl
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -23,25 +21,18 @@ from gsjax.scene import Frame, Pixels, frame_of
 from gsjax.scene.cameras import Camera
 from gsjax.training.initialize import DEAD_LOGIT
 
-
-@contextmanager
-def few_samples() -> Iterator[None]:
-    """The built-in scene is written with fewer samples of its truth and of every pixel: most of the time goes there."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(analytic_scene, "TRUTH_SAMPLES", (6_000, 4_000))
-        patched.setattr(solids, "trace", partial(solids.trace, samples=2))
-        yield
+write_scene = analytic_scene.write  # Tests may put another function in its place.
 
 
 def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
-    """The built-in scene, written with few samples; made once a session, by whichever worker asks first."""
+    """The built-in scene, with few samples of its truth and pixels; a session makes it once, in the first worker."""
     original = Path(os.environ["GSJAX_TEST_SCENES"], f"{num_views}_{size[0]}x{size[1]}")
-    with original.with_suffix(".lock").open("w") as lock, few_samples():
+    with original.with_suffix(".lock").open("w") as lock, pytest.MonkeyPatch.context() as patched:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        patched.setattr(analytic_scene, "TRUTH_SAMPLES", (6_000, 4_000))
+        patched.setattr(solids, "trace", partial(solids.trace, samples=2))
         if not original.exists():
-            analytic_scene.write(
-                original, num_views=num_views, size=size, progress=lambda **options: tqdm(disable=True, **options)
-            )
+            write_scene(original, num_views=num_views, size=size, progress=partial(tqdm, disable=True))
     return shutil.copytree(original, folder, dirs_exist_ok=True)
 
 

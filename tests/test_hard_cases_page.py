@@ -36,9 +36,6 @@ def test_a_family_has_its_largest_errors_and_passes_where_each_is_below_its_boun
     assert stacked() == "2e-06 | 1e-05 | 3e-03 | 5e-03 | pass |"
     measured("all depths coincide", "native", value=2e-6, gradient=2e-4, bounds=(1e-5, 1e-4))
     assert stacked() == "2e-06 | 1e-05 | 3e-03 | 5e-03 | fail |"
-
-
-def test_a_case_of_no_family_is_named(measured):
     measured("planes: an unlisted case", "native", value=0, gradient=0, bounds=(1e-5, 1e-4))
     with pytest.raises(AssertionError, match="of no family: \\['an unlisted case'\\]"):
         summary(read_rows(measured.page()))

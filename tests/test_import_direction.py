@@ -151,18 +151,11 @@ def test_a_module_imports_from_its_own_layer_and_below(path):
         ("rasterizer.api", "import jax.numpy as jnp", True),
         ("rasterizer.api", "from gsjax.scene import cameras", False),
         ("rasterizer.api", "import optax", False),
-        ("gsjax.training.terms.losses", "from gsjax.normals import sdf", True),
-        ("gsjax.normals.sdf", "from gsjax.training import losses", False),
-        ("gsjax.scene.batches", "from gsjax.training import losses", False),
         ("gsjax.training.terms.losses", "from gsjax.scene.cameras import Camera", True),
-        ("gsjax.training.terms.losses", "from gsjax import io", False),
-        ("gsjax.training.terms.losses", "def f():\n    from gsjax.io.files import atomic_path", False),
+        ("gsjax.normals.sdf", "from gsjax.training import losses", False),
         ("gsjax.training.terms.losses", "def f():\n    import open3d", False),
         ("gsjax.io.ply", "import pycolmap", True),
         ("gsjax.io.ply", "from gsjax.meshing import poisson", False),
-        ("gsjax.meshing.export", "from gsjax.io.files import atomic_path", True),
-        ("gsjax.pipeline", "from gsjax.cli import main", False),
-        ("gsjax.cli.train", "from gsjax import pipeline", True),
         ("gsjax.cli.train", "import experiments.train", False),
     ],
 )
@@ -171,7 +164,7 @@ def test_the_check_itself_tells_right_from_wrong(module, source, is_fine):
 
 
 def test_import_gsjax_is_quick_and_loads_nothing_heavy():
-    core = [module_name(path) for path in SOURCES if layer_of(module_name(path)) in CORE]
+    core = [module_name(path) for path in SOURCES if layer_of(module_name(path)) in ("rasterizer", *CORE)]
     program = f"""
 import sys, time
 start = time.perf_counter()
@@ -185,14 +178,3 @@ print(*({HEAVY} & set(sys.modules)))
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == ""
-
-
-def test_the_core_imports_without_the_heavy_packages():
-    core = [module_name(path) for path in SOURCES if layer_of(module_name(path)) in ("rasterizer", *CORE)]
-    program = f"""
-import sys
-sys.modules.update(dict.fromkeys({HEAVY}))  # None: "import open3d" raises ImportError
-import {", ".join(core)}
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr

@@ -29,6 +29,7 @@ from gsjax.normals import from_depth
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.cameras import center
+from gsjax.scene.meshes import Mesh
 from gsjax.settings import Density, Rates
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.optimizers import make_optimizer
@@ -76,25 +77,6 @@ def test_the_rasterizer(backend):
     }
     program = partial(loss, backend=backend, capacity=2048, return_median_depth=True, **options)
     assert not rough_products(jax.grad(lambda s: program(s)[0]), scene)
-
-
-def test_the_stages_of_the_rasterizer():
-    scene = rasterizer_scene()
-    size = scene.width, scene.height
-
-    def stages(s):
-        covars, _ = rasterizer.quat_scale_to_covar_preci(s.quats, s.scales)
-        in_camera = rasterizer.world_to_cam(s.means, covars, s.viewmats)
-        flat = rasterizer.proj(*in_camera, s.Ks, *size)
-        shape = s.means, None, s.quats, s.scales, s.viewmats, s.Ks
-        radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(*shape, *size)
-        _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, 8, 5, 4, capacity=512)
-        offsets = rasterizer.isect_offset_encode(ids, 1, 5, 4)
-        colors, opacities = s.colors[None], s.opacities[None]
-        arguments = (means2d, conics, colors, opacities, *size, 8, offsets, splats)
-        return flat, rasterizer.rasterize_to_pixels(*arguments, backend="xla")
-
-    assert not rough_products(stages, scene)
 
 
 @pytest.fixture(scope="module")
@@ -148,20 +130,24 @@ PHOTO = jnp.full((24, 32, 3), 0.5)
 FUNCTIONS = {
     "render": lambda: (partial(rendering.render, capacity=4096, with_depth=True), FEW, CAMERAS[0]),
     "covariances": lambda: (gaussians.covariances, FEW),
-    "smallest axes": lambda: (gaussians.smallest_axes, FEW),
+    "stages of gsplat": lambda: (stages_of_gsplat, rasterizer_scene()),
     "depth normals": lambda: (from_depth.depth_normals, DEPTH, CAMERAS[0]),
-    "smoothed depth normals": lambda: (from_depth.smoothed_depth_normals, DEPTH, 0 * DEPTH + 1, CAMERAS[0]),
     "density": lambda: (density_field.density_gradient, FEW.means[0], density_field.kernels(FEW)),
     "ssim": lambda: (jax.grad(images.ssim), PHOTO, 0.9 * PHOTO),
-    "psnr": lambda: (images.psnr, PHOTO, 0.9 * PHOTO),
     "covariances on a mesh": lambda: (binding.covariances, bound_sheet()),
     "the built-in scene": lambda: (partial(solids.trace, samples=1), CAMERAS[0]),
 }
 
 
-def bound_sheet():
-    from gsjax.scene.meshes import Mesh
+def stages_of_gsplat(scene):
+    covars, _ = rasterizer.quat_scale_to_covar_preci(scene.quats, scene.scales)
+    in_camera = rasterizer.world_to_cam(scene.means, covars, scene.viewmats)
+    flat = rasterizer.proj(*in_camera, scene.Ks, scene.width, scene.height)
+    shape = scene.means, None, scene.quats, scene.scales, scene.viewmats, scene.Ks
+    return flat, rasterizer.fully_fused_projection(*shape, scene.width, scene.height)
 
+
+def bound_sheet():
     corners = np.float32([[0, 0, 4], [1, 0, 4], [0, 1, 4], [1, 1, 4]])
     mesh = Mesh(corners, np.int32([[0, 1, 2], [1, 3, 2]]), np.full((4, 3), 128, np.uint8))
     return binding.bind(mesh, per_triangle=1, thickness=1e-3, sh_degree=0)

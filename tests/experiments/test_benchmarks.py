@@ -1,18 +1,11 @@
 import os
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import jax.numpy as jnp
 import pytest
-from small_scenes import camera_at, cloud
-from tolerances import assert_close
 
-from gsjax import rendering
 from gsjax.errors import InputError
-from gsjax.io import json_files
-from gsjax.io.ply import write_gaussians
 from rasterizer._native.compiled import cache_folder
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "experiments/benchmarks"
@@ -44,23 +37,6 @@ def test_without_a_gpu_its_script_says_so_in_one_line(tmp_path):
     done = run("rasterizer_gpu.py", folder=tmp_path)
     assert done.returncode == 2
     assert "no GPU: jax runs on 'cpu'" in done.stderr and len(done.stderr.splitlines()) == 1
-
-
-def test_both_of_our_engines_draw_a_run_as_its_first_training_camera_sees_it(scripts, monkeypatch, tmp_path):
-    monkeypatch.syspath_prepend(BENCHMARKS)  # It holds a rasterizer.py: the package was imported with `render`.
-    rasterizer_peers, peers = scripts("rasterizer_peers"), scripts("peers")
-    gaussians = replace(cloud(60), pixel_filter="mip")
-    held_out, camera = (camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-0.5, 0.5))
-    records = [{"name": "a", "held_out": True, **vars(held_out)}, {"name": "b", "held_out": False, **vars(camera)}]
-    write_gaussians(tmp_path / "gaussians.ply", gaussians)
-    json_files.write(tmp_path / "config.json", {"model": {"background": "black"}})
-    json_files.write(tmp_path / "cameras.json", records)
-    (image, gradient), (jnp_image, jnp_gradient) = rasterizer_peers.tasks(tmp_path, peers.peer_named("jnp"))
-    expected = rendering.render(gaussians, camera, capacity=4096, background=jnp.zeros(3)).colors
-    assert float(expected.max()) > 0.1
-    assert_close(image(), expected)
-    assert_close(jnp_image(), expected)
-    assert_close(gradient(), jnp_gradient(), kind="gradient")
 
 
 def test_kernels_that_are_wrong_are_not_timed(scripts, monkeypatch):

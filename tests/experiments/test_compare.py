@@ -19,17 +19,27 @@ def compare(scripts):
     return scripts("compare")
 
 
+@pytest.fixture
+def settings_by_run(monkeypatch):
+    """What a study trains, of which nothing is run."""
+    settings_by_run = {}
+    monkeypatch.setattr(
+        pipeline, "train", lambda _, folder, settings, **__: settings_by_run.setdefault(folder.name, settings)
+    )
+    monkeypatch.setattr(pipeline, "mesh", lambda *_, **__: None)
+    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0})
+    monkeypatch.setattr(runs, "read_metrics", lambda _: [])
+    return settings_by_run
+
+
 @pytest.mark.parametrize("with_mesh", [True, False])
-def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_path, with_mesh):
+def test_the_true_mesh_has_a_row_where_there_is_one(compare, settings_by_run, monkeypatch, tmp_path, with_mesh):
     chamfers = iter([0.004, 0.006, 0.002] * 2)
     floor = {"floor": {"chamfer": 1e-4, "threshold": 0.03}} if with_mesh else {}
-    monkeypatch.setattr(pipeline, "train", lambda *_, **__: None)
     two = {"base": {}, "more": {"model": {"sh_degree": 3}}}
     monkeypatch.setattr(compare, "load_study", lambda *_: compare.Study("base", compare.load_config("base"), two, None))
     figures = {"psnr": 30.0, "views": 2, **floor}
-    monkeypatch.setattr(pipeline, "mesh", lambda *_, **__: None)
     monkeypatch.setattr(pipeline, "evaluate", lambda _: figures | {"chamfer": next(chamfers)})
-    monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     for _ in range(2):  # The second time from what the first has left.
         rows = compare.run("two", "scene", str(tmp_path), seeds=3)
         scores = [[row["chamfer"] for row in each] for each in rows.values()]
@@ -38,18 +48,8 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
         assert json.loads((tmp_path / "study.json").read_text()) == rows
 
 
-@pytest.mark.parametrize(
-    ("study", "on"),
-    [(study, None) for study in STUDIES] + [("baselines", "bunny_plane")],
-)
-def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, monkeypatch, tmp_path, study, on):
-    settings_by_run = {}
-    monkeypatch.setattr(
-        pipeline, "train", lambda _, folder, settings, **__: settings_by_run.setdefault(folder.name, settings)
-    )
-    monkeypatch.setattr(pipeline, "mesh", lambda *_, **__: None)
-    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0})
-    monkeypatch.setattr(runs, "read_metrics", lambda _: [])
+@pytest.mark.parametrize(("study", "on"), [(study, None) for study in STUDIES] + [("baselines", "bunny_plane")])
+def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, settings_by_run, tmp_path, study, on):
     compare.run(study, "scene", str(tmp_path), on=on)
     variants = compare.load_study(study, on).variants
     assert set(settings_by_run) == {f"{variant}_0" for variant in variants}
@@ -57,32 +57,9 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, mon
     assert len({str(config.to_dict(settings)) for settings in settings_by_run.values()}) == len(variants)
 
 
-@pytest.mark.parametrize(
-    ("on", "mix", "time"), [("built_in", 2.40, 850), ("bunny_plane", 2.55, 800), ("fox", 2.40, 700)]
-)
-def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
-    """By the costs that are measured on a config, or else on the built-in scene."""
-    sugar = {"built_in": 4.47, "bunny_plane": 5.09}.get(on, 4.47)
-    variants = compare.load_study("baselines", on).variants
-    surface = {name: change["schedule"]["phases"][-1] for name, change in variants.items()}
-    assert surface["ours, mix"]["steps"] == time
-    assert surface["vanilla"]["steps"] == round(mix * time)
-    assert surface["SuGaR, sdf"]["steps"] == round(mix * time / sugar)
-    assert {change["model"]["depth_mode"] for change in variants.values()} == {"front"}
-
-
-def test_a_folder_of_another_study_or_config_is_not_mixed_in(compare, monkeypatch, tmp_path):
-    monkeypatch.setattr(pipeline, "train", lambda *_, **__: None)
-    monkeypatch.setattr(pipeline, "mesh", lambda *_, **__: None)
-    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0})
-    monkeypatch.setattr(runs, "read_metrics", lambda _: [])
+def test_unknown_names_and_a_folder_of_another_config_are_one_line(compare, settings_by_run, tmp_path):
+    with pytest.raises(InputError, match="no study 'baseline'; the nearest is 'baselines'"):
+        compare.load_study("baseline")
     compare.run("baselines", "scene", str(tmp_path))
     with pytest.raises(InputError, match=r"asked.json: its runs are of on built_in, not bunny_plane; --out takes"):
         compare.run("baselines", "scene", str(tmp_path), on="bunny_plane")
-
-
-def test_unknown_names_are_answered_with_the_nearest(compare):
-    with pytest.raises(InputError, match="no study 'baseline'; the nearest is 'baselines'"):
-        compare.load_study("baseline")
-    with pytest.raises(InputError, match="no config 'bunny'; the nearest is 'bunny_plane'"):
-        compare.load_study("baselines", "bunny")

@@ -1,27 +1,11 @@
-import sys
-from types import ModuleType
-
 import pytest
 
-import gsjax
 from gsjax import config
 from gsjax.errors import InputError
 from gsjax.presets import DEMO
 from gsjax.settings import Settings
 
 CONFIGS = ["base", "built_in", "bunny_plane", "demo", "fox"]
-
-
-@pytest.fixture
-def calls(monkeypatch):
-    """What the pipeline, which is tested by itself, is asked for."""
-    pipeline, log = ModuleType("gsjax.pipeline"), []
-    pipeline.train = lambda scene, out, settings: log.append(("train", scene, out, settings))
-    pipeline.mesh = lambda run, out: log.append(("mesh", run, out))
-    pipeline.evaluate = lambda run, mesh: {"psnr": 29.0}
-    monkeypatch.setitem(sys.modules, "gsjax.pipeline", pipeline)
-    monkeypatch.setattr(gsjax, "pipeline", pipeline, raising=False)
-    return log
 
 
 @pytest.fixture
@@ -50,12 +34,3 @@ def test_unknown_names_are_answered_with_the_nearest(script):
         match="--set: unknown key 'schedule.phases.0.step'; the nearest known one is 'schedule.phases.0.steps'",
     ):
         script.load_settings("fox", ["schedule.phases.0.step=3"])
-
-
-def test_a_run_trains_meshes_and_writes_its_figures(script, calls, tmp_path):
-    figures = script.run("fox", "scene", str(tmp_path), ["seed=2"])
-    (_, scene, out, settings), mesh = calls
-    assert (scene, out, settings.seed) == ("scene", str(tmp_path), 2)
-    assert mesh == ("mesh", str(tmp_path), tmp_path / "mesh.ply")
-    assert figures == {"psnr": 29.0}
-    assert (tmp_path / "evaluation.json").read_text() == '{\n  "psnr": 29.0\n}\n'

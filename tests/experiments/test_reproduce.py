@@ -5,7 +5,6 @@ import json
 import re
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -43,9 +42,6 @@ def place(root: Path, scene: str, images: str) -> Path:
     return folder
 
 
-# The data
-
-
 def test_published_figures_are_those_that_the_paper_prints(scripts, shared):
     published = scripts("paper.published")
     tex = shared / "paper" / "paper.tex"
@@ -62,9 +58,6 @@ def test_published_figures_are_those_that_the_paper_prints(scripts, shared):
     assert printed == list(published.PUBLISHED.values())
 
 
-# What lies under a root
-
-
 def test_scenes_are_found_in_the_root_and_in_the_archives_folders(scripts, tmp_path):
     places = {"garden": "360_v2", "room": "", "train": "tandt", "playroom": "db", "truck": "tandt_db/tandt"}
     images = {"garden": "images_4", "room": "images_2"}
@@ -79,15 +72,10 @@ def test_a_root_without_scenes_and_a_scene_twice_are_errors(scripts, tmp_path):
     discover = scripts("paper.scenes").discover
     with pytest.raises(InputError, match="holds none of room, counter"):
         discover(tmp_path)
-    with pytest.raises(InputError, match="no such folder"):
-        discover(tmp_path / "absent")
-    place(tmp_path, "room", "images_2")
-    place(tmp_path / "360_v2", "room", "images_2")
+    for folder in (tmp_path, tmp_path / "360_v2"):
+        place(folder, "room", "images_2")
     with pytest.raises(InputError, match="room lies there twice"):
         discover(tmp_path)
-
-
-# Runs
 
 
 @pytest.fixture
@@ -147,40 +135,9 @@ def test_finished_runs_are_not_done_again_and_more_may_be_asked(study):
     assert study.started == [("room", "vanilla", 0), ("kitchen", "vanilla", 0)]
     table = (study.out / "tables.md").read_text()
     assert "30.50 ± 0.71" in table and "gsjax vanilla, Gaussians" in table and "vanilla, refined" not in table
-
-
-def test_other_settings_in_the_same_folder_are_an_error_before_any_run(study):
-    study.run()
     with pytest.raises(InputError, match=r"was begun with another settings\.model"):
-        study.run("model.sh_degree=1", seeds=2)
-    with pytest.raises(InputError, match="max_gausians"):
-        study.run("max_gausians=3")
+        study.run("model.sh_degree=1", seeds=3)
     assert study.started == []
-
-
-def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monkeypatch, tmp_path):
-    paper_run, done, broken = scripts("paper_run"), [], ["mesh"]
-
-    def stage(name):
-        if name in broken:
-            raise InputError("nothing to mesh")
-        done.append(name)
-        return {"psnr": 30.0}
-
-    names = ("train", "coarse", "mesh", "texture", "sheet", "refine", "refined")
-    monkeypatch.setattr(paper_run, "_stages", lambda *_: {name: partial(stage, name) for name in names})
-    once = partial(paper_run.run, "room", tmp_path, tmp_path / "out", schedule="paper_6k_15k", seed=0)
-    with pytest.raises(InputError, match="nothing to mesh"):
-        once()
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert result["coarse"] == {"psnr": 30.0} and "mesh" not in result and not paper_run.is_finished(result)
-    broken.clear()
-    assert paper_run.is_finished(once()) and done == list(names)
-    once(lpips=["vgg.onnx"])
-    assert done[len(names) :] == ["coarse", "refined"]
-
-
-# All of it, on a tiny scene
 
 
 @pytest.mark.long

@@ -17,7 +17,7 @@ def test_linear_values_of_the_free_fields():
     assert_close(g.opacities(SCENE), expit(np.asarray(SCENE.logit_opacities, np.float64)))
 
 
-@pytest.mark.parametrize("degree", range(5))
+@pytest.mark.parametrize("degree", [0, 3])
 def test_the_degree_is_read_off_the_coefficients(degree):
     scene = cloud(3, sh_degree=degree)
     assert scene.sh_degree == degree

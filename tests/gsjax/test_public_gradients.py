@@ -23,53 +23,39 @@ def doubles(tree):
     return jax.tree.map(lambda x: jnp.asarray(np.asarray(x), jnp.float64), tree)
 
 
-def tilted_plane():
-    return doubles(plane((0.3, 0.2, -1.0), per_side=6, spacing=0.7))
-
-
 def assert_gradients(function, *arguments):
     check_grads(jax.jit(function), arguments, 1, ["rev"], atol=1e-6, rtol=1e-6, eps=1e-6)
 
 
-@pytest.mark.parametrize("depth_mode", ["plane", "front"])
-def test_of_a_render_to_the_gaussians_and_the_camera(x64, depth_mode):
-    def render(gaussians, viewmat, K):
-        view = gsjax.render(
-            gaussians,
-            replace(camera, viewmat=viewmat, K=K),
-            with_depth=True,
-            depth_mode=depth_mode,
-            backend="reference",
-        )
-        return view.colors, view.alphas, view.depth
+CAMERA = camera_at((0.1, 0.2, -0.3), (0.0, 0.0, 4.0), size=SIZE, focal=15.0)
 
-    camera = doubles(camera_at(size=SIZE, focal=15.0))
+
+def test_of_a_render_to_the_gaussians_and_the_camera(x64):
+    def render(gaussians, viewmat, K):
+        camera = replace(CAMERA, viewmat=viewmat, K=K)
+        how = {"with_depth": True, "backend": "reference"}
+        plane, front = (gsjax.render(gaussians, camera, depth_mode=mode, **how) for mode in ("plane", "front"))
+        return plane.colors, plane.alphas, plane.depth, front.depth
+
+    camera = doubles(CAMERA)
     assert_gradients(render, doubles(cloud(8)), camera.viewmat, camera.K)
 
 
-def test_of_the_composited_sdf_gradient_to_the_gaussians(x64):
-    camera = doubles(camera_at(size=SIZE, focal=15.0))
-    assert_gradients(lambda gaussians: gsjax.sdf_gradient(gaussians, camera, backend="reference"), tilted_plane())
-
-
 def test_of_the_signed_distance_estimate_to_point_depth_and_camera(x64):
-    camera, depth = (
-        doubles(camera_at((0.1, 0.2, -0.3), size=SIZE, focal=15.0)),
-        jnp.asarray(RNG.uniform(3, 4, (12, 16))),
-    )
-    assert_gradients(gsjax.depth_sdf, jnp.array([0.2, -0.1, 2.0]), depth, camera)
+    depth = jnp.asarray(RNG.uniform(3, 4, (12, 16)))
+    assert_gradients(gsjax.depth_sdf, jnp.array([0.2, -0.1, 2.0]), depth, doubles(CAMERA))
 
 
-def test_of_the_regulariser_to_the_gaussians(x64):
-    camera = doubles(camera_at(size=SIZE, focal=15.0))
+def test_of_the_regulariser_through_the_composited_sdf_gradient_to_the_gaussians(x64):
     everywhere, normals = jnp.ones((12, 16), bool), jnp.asarray(RNG.normal(size=(12, 16, 3)))
+    camera = doubles(CAMERA)
     batch = Batch(camera, jnp.asarray(PICTURES[0]), everywhere, None, normals)
 
-    def loss(gaussians):
+    def regulariser(gaussians):
         view = gsjax.render(gaussians, camera, with_depth=True, backend="reference")
         return gsjax.align_normals(sdf_gradient_map).loss(gaussians, view, batch)
 
-    assert_gradients(loss, tilted_plane())
+    assert_gradients(regulariser, doubles(plane((0.3, 0.2, -1.0), per_side=6, spacing=0.7)))
 
 
 @pytest.mark.parametrize("measure", [gsjax.psnr, gsjax.ssim])

@@ -1,4 +1,3 @@
-import dataclasses
 import itertools
 import json
 from pathlib import Path
@@ -8,15 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.binding.refinement import PRESETS as REFINEMENTS
-from gsjax.binding.refinement import Refinement, RefinementWeights
+from gsjax.binding.refinement import Refinement
 from gsjax.config import as_record, merge, parse, to_dict
 from gsjax.errors import InputError
 from gsjax.presets import LENGTHS, PRESETS, preset
 from gsjax.settings import (
-    Density,
     EffectChoice,
-    Logging,
     Model,
     Phase,
     Photos,
@@ -32,19 +28,18 @@ from gsjax.settings import (
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_is_a_valid_difference_that_survives_a_round_trip(name):
     settings = parse(Settings, PRESETS[name])
-    assert parse(Settings, to_dict(settings)) == settings
+    assert (
+        Settings(**PRESETS[name])
+        == as_record(Settings, PRESETS[name])
+        == parse(Settings, to_dict(settings))
+        == settings
+    )
     with_r = [phase.name for phase in settings.schedule.phases if {"sdf_normal", "pixel_normal"} & phase.weights.keys()]
     assert with_r == ([] if name == "quick" else ["surface"])  # `quick` has no time for a surface.
 
 
-@pytest.mark.parametrize("name", LENGTHS[1:])
-def test_presets_for_photos_end_with_the_image_alone(name):
-    last = preset(name).schedule.phases[-1].weights
-    assert {term for term, weight in last.items() if weight} == {"l1", "dssim", "alpha"}
-
-
 def test_each_of_the_lengths_is_longer_than_the_one_before_and_none_than_the_papers():
-    lengths = [parse(Settings, PRESETS[name]) for name in LENGTHS]
+    lengths = [preset(name) for name in LENGTHS]
     assert lengths[-1].schedule.steps == 15_000
     for shorter, longer in itertools.pairwise(lengths):
         assert shorter.schedule.steps < longer.schedule.steps
@@ -52,24 +47,20 @@ def test_each_of_the_lengths_is_longer_than_the_one_before_and_none_than_the_pap
 
 
 def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
-    names = {name for name in PRESETS if parse(Settings, PRESETS[name]).effects.names == "auto"}
-    assert names == set(LENGTHS)
-    assert {parse(Settings, PRESETS[name]).effects.names for name in PRESETS.keys() - names} == {"none"}
+    assert {name: preset(name).effects.names for name in PRESETS} == {
+        name: "auto" if name in LENGTHS else "none" for name in PRESETS
+    }
 
 
 @pytest.mark.parametrize(
     ("difference", "message"),
     [
         ({"model": {"sh_degree": 5}}, "model: sh_degree=5"),
-        ({"schedule": {"sh_every": 0}}, "sh_every=0 is below 1"),
         ({"schedule": {"dropout": 1.0}}, "dropout=1.0 is not at least 0 and below 1"),
         ({"photos": {"downscale": 0}}, "downscale=0.0 is not a number of at least 1"),
-        ({"model": {"max_gaussians": 0}}, "max_gaussians=0 is below 1"),
         ({"model": {"max_gaussians": 10**12}}, "max_gaussians=1000000000000 is above 2147483647"),
         ({"schedule": {"phases": []}}, "there are no phases"),
-        ({"schedule": {"phases": [{"name": "a", "steps": 0}]}}, "the phases have no steps"),
         ({"seed": -1}, "seed=-1 is not between 0 and 4294967295"),
-        ({"rates": {"scales": float("inf")}}, "rates.scales is inf, expected a finite number"),
         ({"rates": {"scales": -1e-3}}, "rates: scales=-0.001 is below 0"),
         ({"density": {"full_by": 2}}, "density: full_by=2.0 is not between 0 and 1"),
         ({"schedule": {"phases": [{"name": "a", "steps": -1}]}}, r"phases.0: steps=-1 is below 0"),
@@ -78,10 +69,6 @@ def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
             "weights.l1 is inf, expected a finite number",
         ),
         ({"rates": {"means": 0.0}}, r"rates: means=0.0 is below 1.6e-06"),
-        ({"rates": {"final_share": 0.0}}, "final_share=0.0 is not above 0 and at most 1"),
-        ({"logging": {"checkpoint_every": 0}}, "checkpoint_every=0 is below 1"),
-        ({"model": {"background": "blue"}}, "model.background is 'blue', expected one of \"white\""),
-        ({"density": {"everry": 3}}, "unknown key 'density.everry'; the nearest known one is 'density.every'"),
     ],
 )
 def test_a_value_out_of_range_is_one_line_that_says_where(difference, message):
@@ -105,22 +92,15 @@ def test_normal_maps_weigh_more_than_the_normals_of_the_photos_themselves():
         assert preset(name, {"supervision": {"normals": "maps"}}).schedule == preset(name).schedule
 
 
-def test_settings_are_hashable_and_frozen():
-    assert len({parse(Settings, PRESETS["accurate"]), parse(Settings, dict(PRESETS["accurate"]))}) == 1
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        Settings().seed = 1
-
-
 @pytest.mark.parametrize(
-    ("choice", "names"),
-    [("none", ()), ("auto", ()), ("vignetting, exposure", ("exposure", "vignetting")), ("exposure", ("exposure",))],
+    ("choice", "names"), [("none", ()), ("auto", ()), ("vignetting, exposure", ("exposure", "vignetting"))]
 )
 def test_effects_are_named_in_any_order(choice, names):
     assert named_effects(choice) == names
     assert EffectChoice(choice).names == choice
 
 
-@pytest.mark.parametrize("choice", ["fog", "exposure,", "Auto", "none,exposure"])
+@pytest.mark.parametrize("choice", ["fog", "exposure,", "none,exposure"])
 def test_unknown_effects_are_refused(choice):
     with pytest.raises(ValueError, match="is none of auto, none, exposure, vignetting"):
         EffectChoice(choice)
@@ -134,25 +114,13 @@ def test_rates_that_no_file_told_are_held_to_the_same():
             Refinement(seed=seed)
 
 
-@pytest.mark.parametrize("name", PRESETS)
-def test_a_preset_makes_settings_with_or_without_parse(name):
-    assert Settings(**PRESETS[name]) == parse(Settings, PRESETS[name]) == as_record(Settings, PRESETS[name])
-    assert as_record(Settings, Settings(seed=3)) == Settings(seed=3)
-
-
-@pytest.mark.parametrize("name", REFINEMENTS)
-def test_a_preset_makes_a_refinement_with_or_without_parse(name):
-    assert Refinement(**REFINEMENTS[name]) == parse(Refinement, REFINEMENTS[name])
-
-
 def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
     """Numbers of numpy and jax, paths, lists and tables; and all of it is hashable, equal and can be written."""
     settings = Settings(
         seed=np.int64(3),
         photos={"downscale": np.float32(2)},
-        supervision=Supervision(normals=Path("maps"), depth=Path("depth")),
-        model={"points": Path("points.ply"), "max_gaussians": jnp.int32(900), "sh_degree": np.array(2)},
-        effects=EffectChoice(sky_weight=1),
+        supervision=Supervision(normals=Path("maps")),
+        model={"max_gaussians": jnp.int32(900), "sh_degree": np.array(2)},
         schedule={
             "vanilla": np.bool_(False),
             "phases": [
@@ -160,51 +128,29 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
                 Phase("b", np.uint8(4), image_scale=np.int32(2)),
             ],
         },
-        rates={"means": np.float64(1e-3), "decay_steps": np.int64(9)},
-        density={"rule": "error", "start": np.int16(7)},
-        logging={"metrics_every": np.int64(5)},
     )
     plain = Settings(
         seed=3,
         photos=Photos(downscale=2.0),
-        supervision=Supervision(normals="maps", depth="depth"),
-        model=Model(points="points.ply", max_gaussians=900, sh_degree=2),
-        effects=EffectChoice(sky_weight=1.0),
+        supervision=Supervision(normals="maps"),
+        model=Model(max_gaussians=900, sh_degree=2),
         schedule=Schedule((Phase("a", 3, Weights(l1=0.5, mine=1.0)), Phase("b", 4, image_scale=2))),
-        rates=Rates(means=1e-3, decay_steps=9),
-        density=Density(rule="error", start=7),
-        logging=Logging(metrics_every=5),
     )
     assert settings == plain and hash(settings) == hash(plain)
     assert json.loads(json.dumps(to_dict(settings))) == to_dict(plain)
-    assert (
-        type(settings.seed) is int
-        and type(settings.photos.downscale) is float
-        and type(settings.schedule.phases[0].weights["mine"]) is float
-    )
+    assert (type(settings.seed), type(settings.photos.downscale)) == (int, float)
 
 
 @pytest.mark.parametrize(
     ("make", "line"),
     [
-        (lambda: Schedule("quick"), "Schedule: phases is 'quick', expected a list of a table of keys"),
         (lambda: Schedule(Phase("a", 3)), r"Schedule: phases is Phase\(.*, expected a list of a table of keys"),
         (lambda: Schedule([{"name": "a"}]), "Schedule: key 'phases.0.steps' is missing"),
-        (
-            lambda: Schedule([{"name": "a", "steps": 3, "wieghts": {}}]),
-            "unknown key 'phases.0.wieghts'.*weights'",
-        ),
-        (lambda: Settings(seed="3"), "Settings: seed is '3', expected int"),
-        (lambda: Settings(density="error"), "Settings: density is 'error', expected a table of keys"),
         (lambda: Settings(rates={"meens": 1e-3}), "Settings: unknown key 'rates.meens'; the nearest known one is"),
-        (lambda: EffectChoice(["exposure"]), r"EffectChoice: names is \['exposure'\], expected str"),
         (lambda: Phase("a", 3, {"l1": "much"}), "Phase: weights.l1 is 'much', expected float"),
-        (lambda: Phase("a", 3, weights=0.5), "Phase: weights is 0.5, expected a table of keys"),
         (lambda: Weights(l1=float("nan")), "Weights: l1 is nan, expected a finite number"),
         (lambda: Rates(decay_steps=1.5), "Rates: decay_steps is 1.5, expected int or null"),
         (lambda: Refinement(pixel_filter="box"), "Refinement: pixel_filter is 'box', expected one of"),
-        (lambda: RefinementWeights(l1=float("inf")), "weights: l1 is inf, expected a finite number"),
-        (lambda: as_record(Settings, "quick"), "Settings: the whole is 'quick', expected a table of keys"),
         (
             lambda: jax.jit(lambda degree: Model(sh_degree=degree))(3),
             "Model: sh_degree is .*, expected int",
@@ -221,7 +167,6 @@ def test_a_setting_of_another_type_is_one_line_that_names_it(make, line):
     ("flat", "now"),
     [
         ({"max_gaussians": 3}, "max_gaussians is model.max_gaussians now"),
-        ({"photos": "list.txt"}, "photos is photos.subset now"),
         ({"effects": "auto"}, "effects is effects.names now"),
         ({"phases": {"surface": {"steps": 3}}}, "phases is schedule.phases now"),
     ],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from trained_run import SETTINGS
 
-from gsjax import cli, config
+from gsjax import config
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.ply import read_gaussians
@@ -69,22 +69,22 @@ def test_what_is_trained_is_not_trained_again_and_what_was_stopped_goes_on(train
     assert len(calls) == 3 and (out / "run/manifest.json").read_bytes() == before
 
 
-def test_what_cannot_be_divided_is_refused_and_leaves_nothing(trained, scene, tmp_path, capsys):
+def test_what_cannot_be_divided_is_refused_and_leaves_nothing(trained, scene, tmp_path):
     out = tmp_path / "blocks"
-    for count, fault in ((12, r"the cameras stand at \d+ places"), (8, "would have . photos to train on; make fewer")):
-        with pytest.raises(InputError, match=f"--blocks {count}: .*{fault}"):
-            blocks.blocks(scene, out, WISHES, count)
+    with_poses = config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "poses"}}))
+    for settings, count, fault in (
+        (WISHES, 8, r"--blocks 8: .*would have . photos to train on; make fewer"),
+        (with_poses, 2, "--effects poses: what blocks find"),
+    ):
+        with pytest.raises(InputError, match=fault):
+            blocks.blocks(scene, out, settings, count)
         assert not out.exists()
-    with pytest.raises(InputError, match="--effects poses: what blocks find"):
-        blocks.blocks(scene, out, config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "poses"}})), 2)
     blocks.blocks(scene, out, WISHES, 2, only=[1])
     with pytest.raises(InputError, match="was begun with another blocks"):
         blocks.blocks(scene, out, WISHES, 3)
-    with pytest.raises(InputError, match="was begun with another settings"):
-        blocks.blocks(scene, out, config.parse(Settings, {**SETTINGS, "seed": 5}), 2)
     with pytest.raises(InputError, match="--only 3: there are blocks 1 to 2"):
         blocks.blocks(scene, out, WISHES, 2, only=[3])
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("kept")
-    assert cli.main(["blocks", str(scene), "--out", str(tmp_path / "mine"), "--blocks", "2"]) == 2
-    assert "mine: exists and is not empty; choose another folder" in capsys.readouterr().err
+    with pytest.raises(InputError, match="mine: exists and is not empty; choose another folder"):
+        blocks.blocks(scene, tmp_path / "mine", WISHES, 2)

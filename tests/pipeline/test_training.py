@@ -3,7 +3,6 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pycolmap
@@ -15,12 +14,9 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
-from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.planning import preparation, sparse_view_trial, sparse_views
 from gsjax.planning.sparse_views import Gain
-from gsjax.presets import PRESETS
 from gsjax.settings import Settings
-from gsjax.training.plan import plan
 
 
 def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
@@ -45,13 +41,10 @@ def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
 
 def test_a_report_is_left_and_a_run_that_kept_no_pictures_is_rendered_for_it(run, scene, tmp_path):
     pictures = {file.name: read_image(file)[0].astype(float) for file in (run / "pictures").iterdir()}
-    assert sorted(pictures) == [
-        f"{view}_{kind}.jpg" for view in ("0000", "0008") for kind in ("normals", "photo", "render")
-    ]
     photo, other = (read_image(scene / "images" / name)[0] for name in ("000.png", "008.png"))
     # JPEG leaves 5 of 255 in a picture of 48 pixels; the other view is far from that.
     assert np.abs(pictures["0000_photo.jpg"] - photo).mean() < 8 < np.abs(pictures["0000_photo.jpg"] - other).mean() / 3
-    assert (run / "report.html").read_text().count("data:image/jpeg") == 6
+    assert (run / "report.html").read_text().count("data:image/jpeg") == len(pictures) == 6
 
     shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("pictures"))
     pipeline.report(tmp_path / "run")
@@ -61,8 +54,15 @@ def test_a_report_is_left_and_a_run_that_kept_no_pictures_is_rendered_for_it(run
 
 @pytest.mark.parametrize(("stopped_at", "steps"), [(13, [7, 12]), (23, [20, 21])])
 def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, stopped_at, steps):
-    """From checkpoints of every seventh step and of each phase's end, of which two are kept."""
-    settings = config.parse(Settings, SETTINGS)
+    """From checkpoints of every seventh step and of each phase's end, of which two are kept.
+
+    A schedule takes a term out of the preset that it changes by a weight of zero, which is no other setting.
+    """
+    phases = [
+        {**phase, "weights": {"sdf_normal": 0.0, **phase.get("weights", {})}}
+        for phase in SETTINGS["schedule"]["phases"]
+    ]
+    settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"phases": phases}}))
     folder = tmp_path / "run"
     train_until_killed(stopped_at, scene, folder, settings)
     assert sorted(file.name for file in (folder / "checkpoints").iterdir()) == [f"step_{n:07d}.npz" for n in steps]
@@ -78,24 +78,11 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, sto
     assert without_time[0] == without_time[1]
 
 
-def test_a_weight_of_zero_is_no_other_setting_when_a_run_goes_on(run, scene, tmp_path):
-    """A schedule takes a term out of the preset that it changes by a weight of zero."""
-    phases = [
-        {**phase, "weights": {"sdf_normal": 0.0, **phase.get("weights", {})}}
-        for phase in SETTINGS["schedule"]["phases"]
-    ]
-    settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"phases": phases}}))
-    train_until_killed(13, scene, tmp_path / "run", settings)
-    pipeline.train(scene, tmp_path / "run", settings, resume=True)
-    assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
-
-
 def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run, scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("gsjax.planning.memory.free_memory", lambda: 0)
     pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS))
     assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert "each step reads its photo from the disk" in capsys.readouterr().err
-    assert "each step reads its photo from the disk" in json_files.read(tmp_path / "run/manifest.json")["memory"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
 
 
@@ -117,50 +104,29 @@ def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene,
 
 
 def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, tmp_path, monkeypatch, capsys):
-    trials = []
+    """Nothing is compiled: the loop takes no step."""
+    trials, run = [], tmp_path / "run"
 
     def helps(scene, settings, held_back):
         trials.append([frame.name for frame in scene.train_frames])
         return Gain(0.5, 0.1)
 
+    def follow(work, state, capacity):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(pipeline.train.__globals__, "follow", follow)
     monkeypatch.setattr(sparse_view_trial, "gain", helps)
     monkeypatch.setattr(sparse_views, "SHORTEST", 12)
     first = SETTINGS["schedule"]["phases"][:1]
     settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"sparse_views": True, "phases": first}}))
-    train_until_killed(8, scene, tmp_path / "run", settings)
-    line = "with 450 Gaussians, of which each step leaves out 20% (validation runs: +0.5 +-0.1 dB)"
-    assert line in capsys.readouterr().err
-    for name, how in {"run": {"resume": True}, "other": {"warm_start": tmp_path / "run"}}.items():
-        pipeline.train(scene, tmp_path / name, settings, **how)
-        assert "validation runs: +0.5 +-0.1 dB" in capsys.readouterr().err
-        plan = json_files.read(tmp_path / name / "plan.json")
-        assert plan["max_gaussians"] == 450
-        assert [phase["dropout"] for phase in plan["phases"]] == [0.2]
+    for how in ({}, {"resume": True}):
+        with pytest.raises(KeyboardInterrupt):
+            pipeline.train(scene, run, settings, **how)
+        line = "with 450 Gaussians, of which each step leaves out 20% (validation runs: +0.5 +-0.1 dB)"
+        assert line in capsys.readouterr().err
+        plan = json_files.read(run / "plan.json")
+        assert (plan["max_gaussians"], [phase["dropout"] for phase in plan["phases"]]) == (450, [0.2])
     assert len(trials) == 1
-    (tmp_path / "run/manifest.json").write_text(
-        (tmp_path / "run/manifest.json").read_text().replace('"held_back": true', '"held_back": 7')
-    )
-    with pytest.raises(InputError, match="manifest.json: sparse_views.held_back"):
-        pipeline.train(scene, tmp_path / "third", settings, warm_start=tmp_path / "run")
-
-
-def test_the_loop_compares_photos_as_often_as_they_are_consistent(scene, tmp_path, monkeypatch):
-    handed = []
-
-    def follow(work, state, capacity):
-        verdict = {"photos": {frame.name: {"apart": 20.0} for frame in work.frames}}
-        json_files.write(tmp_path / "run/normals/gate.json", verdict)
-        handed.append(work.shares())
-        raise KeyboardInterrupt
-
-    monkeypatch.setitem(pipeline.train.__globals__, "follow", follow)
-    with pytest.raises(KeyboardInterrupt):
-        pipeline.train(
-            scene,
-            tmp_path / "run",
-            config.parse(Settings, config.merge(SETTINGS, {"supervision": {"normal_gate": True}})),
-        )
-    np.testing.assert_array_equal(handed, [[0.5] * 7])
 
 
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):
@@ -185,19 +151,7 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_pa
         file.unlink()
     with pytest.raises(InputError, match="begun: has no checkpoint of the 12 steps that this run has in common"):
         pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), warm_start=first_run)
-
-    shutil.rmtree(first_run / "checkpoints")
-    with pytest.raises(InputError, match="begun: has no checkpoint to begin from"):
-        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), warm_start=first_run)
     assert not (tmp_path / "none").exists()
-
-
-def test_held_out_photos_are_not_scored_where_opacities_have_just_been_reset():
-    planned = plan(config.parse(Settings, PRESETS["paper_6k_15k"]))
-    journal = SimpleNamespace(plan=planned, steps=15_000, evaluate_every=500, _ends={7000, 9000, 15_000})
-    scored = {step for step in range(1, 15_001) if TrainingJournal._due(journal, step)[0]}
-    # Nothing grows, and nothing is reset, after step 7,000; the last step is scored by itself.
-    assert scored == set(range(500, 15_000, 500)) - {3000, 6000}
 
 
 def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(run, scene, tmp_path):
@@ -217,8 +171,6 @@ def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(
     assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert summary["psnr"] == json_files.read(run / "manifest.json")["psnr"]
     assert pipeline.evaluate(tmp_path / "run")["psnr"] == pytest.approx(summary["psnr"], abs=1e-3)
-    with pytest.raises(InputError, match=r"run: was started on .*/scene, not on .*; a resumed run keeps its data set"):
-        pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS), resume=True)
 
 
 @pytest.mark.long
@@ -230,15 +182,11 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
     (tmp_path / "scene/sparse/0").mkdir(parents=True)
     model.write_binary(tmp_path / "scene/sparse/0")
     shutil.copy(scene / "gt_points.npz", tmp_path / "scene")
-    settings = config.parse(
-        Settings, config.merge(SETTINGS, {"photos": {"hold_out": "none", "images": str(scene / "images")}})
-    )
-
+    photos = {"hold_out": "none", "images": str(scene / "images")}
+    settings = config.parse(Settings, config.merge(SETTINGS, {"photos": photos}))
     summary = pipeline.train(tmp_path / "scene", tmp_path / "run", settings)
-
     assert (summary["psnr"], summary["ssim"], summary["views"], summary["steps"]) == (None, None, 0, 30)
-    cameras = json_files.read(tmp_path / "run/cameras.json")
-    assert len(cameras) == 7 and not any(camera["held_out"] for camera in cameras)
+    assert not any(camera["held_out"] for camera in json_files.read(tmp_path / "run/cameras.json"))
     assert not any("held_out_psnr" in record for record in runs.read_metrics(tmp_path / "run"))
     figures = pipeline.evaluate(tmp_path / "run", mesh=scene / "gt_mesh.ply")
     assert (figures["psnr"], figures["views"]) == (None, 0)
@@ -250,29 +198,12 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
         pipeline.render(tmp_path / "run", tmp_path / "pictures", views="held_out")
 
 
-@pytest.mark.parametrize("fault", ["hold-out", "normals"])
-def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, capsys, fault):
-    options = {"hold-out": ["--hold-out", str(tmp_path / "list.txt")], "normals": ["--normals", str(tmp_path / "maps")]}
-    (tmp_path / "list.txt").write_text("004.jpg")
+def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, capsys):
     for index in range(9):
         write_image(tmp_path / f"maps/{index:03d}.png", np.full((40, 40, 3), 9, np.uint8))
-    messages = {
-        "hold-out": "list.txt, line 1: there is no photo 004.jpg; the nearest name is 004.png",
-        "normals": "maps/001.png: normal map is 40x40, its frame 48x40",
-    }
-    plain = ["--set", "schedule.sparse_views=false"]  # No trial comes first.
-    assert cli.main(["train", str(scene), "--out", str(tmp_path / "run"), *options[fault], *plain]) == 2
+    options = ["--normals", str(tmp_path / "maps"), "--set", "schedule.sparse_views=false"]  # No trial comes first.
+    assert cli.main(["train", str(scene), "--out", str(tmp_path / "run"), *options]) == 2
     *progress, error = capsys.readouterr().err.splitlines()
-    assert error.startswith("gsjax: error: ") and messages[fault] in error
+    assert error.startswith("gsjax: error: ") and "maps/001.png: normal map is 40x40, its frame 48x40" in error
     assert not any("Error" in line for line in progress)
     assert not (tmp_path / "run").exists()
-
-
-def test_a_checkpoint_that_finds_no_room_ends_the_run_in_one_line(scene, tmp_path, monkeypatch):
-    def full(path, tree):
-        raise InputError(f"cannot write {path}: No space left on device")
-
-    monkeypatch.setattr(runs.checkpoints, "save", full)
-    with pytest.raises(InputError, match="step_0000007.npz: No space left on device"):
-        pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS))
-    assert len(runs.read_metrics(tmp_path / "run")) == 1, "what was logged before stays"

@@ -26,10 +26,8 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
     summary = pipeline.train(scene, whole, settings)
     train_until_killed(9, scene, stopped, settings)
-    with monkeypatch.context() as patched:
-        patched.setitem(
-            pipeline.train.__globals__, "score_images", lambda *_, **__: {"psnr": 0}
-        )  # The other is scored.
+    with monkeypatch.context() as patched:  # The other is scored.
+        patched.setitem(pipeline.train.__globals__, "score_images", lambda *_, **__: {"psnr": 0})
         pipeline.train(scene, stopped, settings, resume=True)
     for file in ("gaussians.ply", "effects.json", "poses.json", "cameras.json", "background.json"):
         assert (stopped / file).read_bytes() == (whole / file).read_bytes()
@@ -44,20 +42,13 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert summary["psnr_track_gains_aligned"] >= summary["psnr_track_gains"]
     assert manifest["cameras"].startswith("cameras turned by ")
     evaluated = pipeline.evaluate(whole)
-    assert {name: evaluated[name] for name in scores} == pytest.approx(
-        {name: summary[name] for name in scores}, abs=1e-3
-    )
+    for name in scores:
+        assert evaluated[name] == pytest.approx(summary[name], abs=1e-3), name
     # With the looks of its own tracks in place of its neighbours', a photo has the score of those.
     photo_effects, frames = read_photo_effects(whole), scene_of_run(whole).held_out_frames
-    gaussians = open_result(whole).gaussians
-    same = score_images(
-        gaussians, frames, "white", photo_effects=photo_effects._replace(near_appearances=photo_effects.appearances)
-    )
+    own = photo_effects._replace(near_appearances=photo_effects.appearances)
+    same = score_images(open_result(whole).gaussians, frames, "white", photo_effects=own)
     assert same["psnr_near_gains"] == same["psnr_track_gains"] == pytest.approx(summary["psnr_track_gains"], abs=1e-3)
-    near = photo_effects.with_near_appearances(scene_of_run(whole).frames)
-    assert score_images(gaussians, frames, "white", photo_effects=near)["psnr_near_gains"] == pytest.approx(
-        summary["psnr_near_gains"], abs=1e-3
-    )
     assert summary["psnr_near_gains"] != summary["psnr_track_gains"]
     photos = json_files.read(whole / "effects.json")["photos"]
     records = json_files.read(whole / "cameras.json")
@@ -75,9 +66,6 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         assert off == 0 if frame.held_out else 1e-6 < off < 0.05, frame.name
 
     assert open_result(whole).background.shape == (1, 3), "the built-in scene stands before one white"
-    three = pipeline.evaluate(run, three_ways=True)
-    assert scores <= three.keys() and not aligned & three.keys()
-    assert three["psnr"] == pytest.approx(json_files.read(run / "manifest.json")["psnr"], abs=1e-3)
 
     pipeline.train(scene, auto, config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "auto"}})))
     assert json_files.read(auto / "manifest.json")["effects"]["simulated"] == []
@@ -100,7 +88,7 @@ def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(run, scene, tmp_path, 
     assert f"train: too blurred, left out: {name}\n" in capsys.readouterr().err
     assert json_files.read(tmp_path / "run/manifest.json")["effects"]["left_out"] == [name]
     left, whole = (
-        [record["name"] for record in json_files.read(folder / "cameras.json")] for folder in (tmp_path / "run", run)
+        [record["name"] for record in json_files.read(each / "cameras.json")] for each in (tmp_path / "run", run)
     )
     assert set(whole) - set(left) == {name}
     assert [frame.name for frame in scene_of_run(tmp_path / "run").frames] == left

@@ -99,9 +99,6 @@ def expected_terms(gaussians, nearest):
     )
 
 
-# --- the values
-
-
 FLIPPED = replace(WALL, quats=jnp.where(np.arange(COUNT)[:, None] % 2, WALL.quats, jnp.asarray([[0.0, 1.0, 0.0, 0.0]])))
 AT_DEPTH = replace(
     cloud(COUNT, seed=2), means=cloud(COUNT, seed=2).means.at[:, 2].set(DISTANCE + jnp.linspace(-0.05, 0.05, COUNT))
@@ -109,7 +106,7 @@ AT_DEPTH = replace(
 
 
 @pytest.mark.parametrize("alone", [True, False])
-@pytest.mark.parametrize("gaussians", [AT_DEPTH, WALL, FLIPPED], ids=["a cloud", "a wall", "half of it upside down"])
+@pytest.mark.parametrize("gaussians", [AT_DEPTH, FLIPPED], ids=["a cloud", "a wall, half of it upside down"])
 def test_the_terms_are_those_written_out_in_float64(gaussians, alone):
     nearest = surroundings.none_yet(COUNT) if alone else nearest_of(gaussians)
     expected = expected_terms(gaussians, nearest)
@@ -118,61 +115,19 @@ def test_the_terms_are_those_written_out_in_float64(gaussians, alone):
         assert_close(value, expected[index], rtol=1e-4, atol=0, why="float32 over deviations of a hundredth of a unit")
 
 
-@pytest.mark.parametrize("term", TERMS)
-def test_gradients_equal_finite_differences(term, x64):
-    """Discs in parallel, whose normals agree: what the weights of the normals hold back is of second order there."""
-    rng = np.random.default_rng(1)
-    gaussians = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), WALL)
-    first = {
-        "means": gaussians.means + rng.uniform(-0.02, 0.02, (COUNT, 3)),
-        "log_scales": gaussians.log_scales + rng.uniform(-0.1, 0.1, (COUNT, 3)),
-        "quats": gaussians.quats,
-        "logit_opacities": gaussians.logit_opacities,
-    }
-    nearest = nearest_of(gaussians)
-    depth = DISTANCE + 0.01 * rng.normal(size=DEPTH.shape)
-    steps = {name: 1e-6 * rng.normal(size=leaf.shape) for name, leaf in first.items()}
-    depth_step = 1e-6 * rng.normal(size=depth.shape)
-
-    def moved(sign):
-        there = replace(gaussians, **{name: leaf + sign * steps[name] for name, leaf in first.items()})
-        return value_and_gradient(term, there, jnp.asarray(depth + sign * depth_step), nearest=nearest)
-
-    _, (to_gaussians, to_depth) = moved(0)
-    change = 0.5 * (float(moved(1)[0]) - float(moved(-1)[0]))
-    expected = sum(float(np.sum(getattr(to_gaussians, name) * step)) for name, step in steps.items())
-    expected += float(np.sum(to_depth * depth_step))
-    assert abs(expected) > 1e-8
-    assert change == pytest.approx(expected, rel=1e-4)
-
-
-# --- who is drawn from
-
-
-def test_rows_are_drawn_alike_among_those_that_may_be():
-    among = np.arange(50) % 7 == 3
-    counts = np.bincount(sugar.choose_rows(KEY, jnp.asarray(among), 70_000), minlength=50)
-    assert not counts[~among].any()
-    share = among.sum() / 70_000
-    np.testing.assert_allclose(counts[among] * share, 1, atol=5 * np.sqrt(share))
-    assert set(np.asarray(sugar.choose_rows(KEY, jnp.zeros(5, bool), 9))) <= set(range(5))
-
-
-# --- hard cases
-
-OPAQUE = replace(WALL, logit_opacities=jnp.full(COUNT, 40, jnp.float32))
 HARD = {
-    "coincident and opaque": replace(OPAQUE, means=jnp.tile(jnp.asarray([[0.1, 0.1, DISTANCE]]), (COUNT, 1))),
-    "opacity 1": OPAQUE,
+    "coincident and opaque": replace(
+        WALL,
+        logit_opacities=jnp.full(COUNT, 40, jnp.float32),
+        means=jnp.tile(jnp.asarray([[0.1, 0.1, DISTANCE]]), (COUNT, 1)),
+    ),
     "opacity 0": replace(WALL, logit_opacities=jnp.full(COUNT, -200, jnp.float32)),
     "needles": replace(WALL, log_scales=jnp.tile(jnp.asarray([[-18.0, 1.0, -18.0]]), (COUNT, 1))),
     "collapsed": replace(WALL, log_scales=jnp.full((COUNT, 3), -90.0)),
     "huge": replace(WALL, log_scales=jnp.full((COUNT, 3), 20.0)),
-    "balls": replace(WALL, log_scales=jnp.full((COUNT, 3), -2.0)),
     "no rotation": replace(WALL, quats=jnp.zeros((COUNT, 4))),
     "at the camera": replace(WALL, means=WALL.means * jnp.asarray([[1.0, 1.0, 0.0]])),
     "behind": replace(WALL, means=-WALL.means),
-    "beside the image": replace(WALL, means=WALL.means + jnp.asarray([[2.6, 0.0, 0.0]])),
 }
 
 
@@ -185,17 +140,8 @@ def test_value_and_gradient_are_finite(term, name):
         assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
 
 
-@pytest.mark.parametrize(
-    ("term", "changes"),
-    [
-        (sugar_sdf, {"visible": ~ALL}),
-        (sugar_density, {"visible": ~ALL}),
-        (sugar_sdf, {"depth": jnp.zeros_like(DEPTH)}),
-        (sugar_sdf, {"gaussians": HARD["behind"]}),
-    ],
-    ids=["sdf unseen", "density unseen", "no depth", "behind"],
-)
-def test_with_nobody_to_draw_from_there_is_neither_value_nor_gradient(term, changes):
-    value, gradient = value_and_gradient(term, **{"gaussians": WALL, **changes})
+@pytest.mark.parametrize("changes", [{"visible": ~ALL}, {"depth": jnp.zeros_like(DEPTH)}], ids=["unseen", "no depth"])
+def test_with_nothing_to_compare_there_is_neither_value_nor_gradient(changes):
+    value, gradient = value_and_gradient(sugar_sdf, WALL, **changes)
     assert float(value) == 0
     assert not any(np.any(leaf) for leaf in jax.tree.leaves(gradient))
