@@ -17,14 +17,10 @@ def image(**changes):
     return rasterization(**{**ARRAYS, **changes}, width=SCENE.width, height=SCENE.height, capacity=2048)[0]
 
 
-def test_lists_are_arrays():
+def test_lists_are_arrays_and_a_number_is_the_background_of_every_channel():
     lists = {name: array.tolist() for name, array in ARRAYS.items()}
-    np.testing.assert_array_equal(image(**lists), image())
-
-
-def test_a_number_is_the_background_of_every_channel():
     behind = jnp.full((len(ARRAYS["viewmats"]), ARRAYS["colors"].shape[-1]), 0.25)
-    np.testing.assert_array_equal(image(backgrounds=0.25), image(backgrounds=behind))
+    np.testing.assert_array_equal(image(**lists, backgrounds=0.25), image(backgrounds=behind))
 
 
 def test_all_arrays_come_in_one_float_dtype_but_masks_and_indices():

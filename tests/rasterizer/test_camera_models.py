@@ -5,7 +5,6 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from scenes import cloud, render, single
 from tolerances import assert_close
 
@@ -72,12 +71,11 @@ POINTS = {
 }
 
 
-@pytest.mark.parametrize("name", POINTS)
-def test_point_and_jacobian_are_those_of_the_definition(name, x64):
-    point = np.array(POINTS[name])
-    for model, (mean2d, jacobian) in here(point).items():
-        assert_close(mean2d, image_of(point, model), rtol=1e-12, why="float64")
-        assert_close(jacobian, jacobian_of(point, model), rtol=1e-6, atol=1e-6, why="central differences")
+def test_point_and_jacobian_are_those_of_the_definition(x64):
+    for point in map(np.array, POINTS.values()):
+        for model, (mean2d, jacobian) in here(point).items():
+            assert_close(mean2d, image_of(point, model), rtol=1e-12, why="float64")
+            assert_close(jacobian, jacobian_of(point, model), rtol=1e-6, atol=1e-6, why="central differences")
 
 
 def test_a_fisheye_sees_beside_and_on_the_axis(x64):
@@ -171,7 +169,7 @@ def test_conics_are_the_inverse_of_the_covariance_under_the_definition():
 
 def test_a_parallel_projection_does_not_shrink_with_distance_and_sees_along_z():
     near, far = (single(mean=(0.3, 0.2, z), scale=(0.1, 0.1, 0.01)) for z in (2.0, 9.0))
-    images = [render(scene, camera_model="ortho", capacity=256, backend="xla")[0] for scene in (near, far)]
+    images = [render(scene, camera_model="ortho", capacity=256)[0] for scene in (near, far)]
     np.testing.assert_array_equal(*images)
     # A disc far beside the axis, turned towards it, shows its other side to a camera in the origin.
     tilted = single(mean=(9.0, 0.0, 2.0), quat=(0.98, 0.0, -0.2, 0.0), scale=(0.1, 0.1, 0.001))

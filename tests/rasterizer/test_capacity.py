@@ -44,14 +44,6 @@ def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
         assert info["needed"][i] == alone["needed"]
         for name, error in relative_errors(jax.tree.map(lambda x, i=i: x[i], gradient), expected).items():
             assert error < 1e-4, (name, error)
-    single = gradient_and_rest(SCENE)[0]
-    for name, error in relative_errors(single, evaluate(SCENE, "native")[3]).items():
-        assert error < 1e-4, (name, error)
-
-
-def test_the_reference_needs_no_capacity_inside_jit():
-    image = jax.jit(lambda s: render(s, backend="reference")[0])(SCENE)
-    assert_close(image, render(SCENE, capacity=ENOUGH)[0])
 
 
 def test_too_small_a_capacity_says_so_and_what_is_needed():

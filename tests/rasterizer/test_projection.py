@@ -40,9 +40,8 @@ def test_one_gaussian_on_the_axis_by_hand(project_scene):
     assert p.visible.all()
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_conic_is_the_inverse_of_the_ewa_covariance(project_scene, seed):
-    scene = cloud(40, seed=seed)
+def test_conic_is_the_inverse_of_the_ewa_covariance(project_scene):
+    scene = cloud(40)
     p = project_scene(scene)
     means2d, depths, covariances = ewa(scene)
     assert_close(p.means2d[0], means2d, rtol=1e-5, atol=1e-4, why="pixels, off-image ones are hundreds")
