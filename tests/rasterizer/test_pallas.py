@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxprs import equations
-from scenes import binned, cloud, evaluate, stacks
+from scenes import binned, evaluate, stacks
 from tolerances import assert_close
 
 from rasterizer import GSPLAT, Front, TileGrid, _mosaic, _pallas, _reference, _xla, devices
@@ -107,14 +107,6 @@ def test_lists_cut_in_segments_equal_the_reference():
         assert np.linalg.norm(a - c) < 1e-5 * np.linalg.norm(c), name
 
 
-def test_deep_tiles_come_first_and_every_segment_knows_its_tile():
-    offsets = jnp.asarray([0, 3, 3, 12, 16], jnp.int32)
-    tiles, first = _pallas._segments(offsets, capacity=20, size=4)
-    np.testing.assert_array_equal(first, [0, 1, 1, 4])
-    np.testing.assert_array_equal(tiles[:5], [0, 2, 2, 2, 3])
-    assert len(tiles) == 4 + 20 // 4 and (np.asarray(tiles[5:]) == 3).all()
-
-
 def lowered_for_cuda(program, *arguments):
     """The program's text for a GPU, on a machine without one."""
     traced = jax.jit(program).trace(*arguments)
@@ -145,13 +137,6 @@ def test_both_kernels_lower_for_cuda(tile_size, channels):
     assert lowered_for_cuda(loss, splats, lists).count("custom_call @__gpu$xla.gpu.triton") == 1
     gradient = jax.grad(loss)
     assert lowered_for_cuda(gradient, splats, lists).count("custom_call @__gpu$xla.gpu.triton") == 2
-
-
-def test_both_sorts_are_pairs_with_a_short_key_on_a_gpu():
-    text = lowered_for_cuda(lambda scene: binned(scene, 16, backend="xla", capacity=512)[2], cloud())
-    # XLA hands sorts of these two shapes to CUB.
-    assert text.count('"stablehlo.sort"') == 2
-    assert "(tensor<512xui16>, tensor<512xi32>)" in text and "(tensor<40xui32>, tensor<40xi32>)" in text
 
 
 needs_mosaic = pytest.mark.skipif(not devices.has_mosaic(), reason="jax 0.12 or later has what is tested")

@@ -64,20 +64,6 @@ def test_only_the_bands_of_the_degree_are_evaluated(degree):
     assert [uses_constant(program, c) for c in leading_constants] == [d <= degree for d in range(5)]
 
 
-def test_depth_alone_never_touches_the_colours():
-    scene = transparent(cloud(COUNT, sh_degree=4))
-    assert (COUNT, 25, 3) in shapes(forward(scene, sh_degree=4))
-    assert (COUNT, 25, 3) not in shapes(forward(scene, sh_degree=4, render_mode="D"))
-
-
-def test_expected_depth_alone_divides_the_image():
-    def divides(mode):
-        program = forward(transparent(cloud(COUNT)), render_mode=mode)
-        return any(e.primitive.name == "div" and e.outvars[0].aval.shape == (1, 29, 37, 1) for e in program)
-
-    assert [divides(m) for m in ("RGB", "D", "RGB+D", "ED", "RGB+ED")] == [False, False, False, True, True]
-
-
 def operations(program):
     """How many equations of each primitive."""
     return Counter(e.primitive.name for e in program)
@@ -119,19 +105,6 @@ def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
     on_gpu, value = branches()
     assert on_cpu >= 2 and on_gpu == 0
     assert_close(value, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
-
-
-def test_covariances_leave_the_quaternions_out():
-    scene = transparent(cloud(COUNT))
-    covars = np.broadcast_to(np.eye(3, dtype=np.float32), (COUNT, 3, 3))
-
-    def program(covars):
-        s = scene
-        arrays = s.means, None, None, s.opacities, s.colors, s.viewmats, s.Ks, s.width, s.height
-        return rasterizer.rasterization(*arrays, covars=covars, capacity=2048)[:2]
-
-    assert (COUNT, 4) not in shapes(list(equations(jax.make_jaxpr(program)(covars).jaxpr)))
-    assert (COUNT, 4) in shapes(forward(scene))
 
 
 def test_no_array_of_tiles_by_splats_nor_of_pairs_by_pixels():

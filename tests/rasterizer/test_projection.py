@@ -29,17 +29,6 @@ def as_matrix(conics):
     return np.asarray(conics, np.float64)[..., [0, 1, 1, 2]].reshape(*conics.shape[:-1], 2, 2)
 
 
-def test_one_gaussian_on_the_axis_by_hand(project_scene):
-    # Focal 16, depth 2, sigma 0.1 and 0.05: 0.8 and 0.4 px, variances 0.64 and 0.16, each + 0.3.
-    p = project_scene(single(scale=(0.1, 0.05, 7.0), opacity=0.8))
-    assert_close(p.means2d, np.array([[[8.0, 8.0]]]))
-    assert_close(p.depths, np.array([[2.0]]))
-    assert_close(p.conics, np.array([[[1 / 0.94, 0.0, 1 / 0.46]]]))
-    # 0.8 exp(-s^2 / 2) = 1 / 255.
-    assert_close(p.extents, np.sqrt(2 * np.log(0.8 * 255)) * np.sqrt([[[0.94, 0.46]]]))
-    assert p.visible.all()
-
-
 def test_conic_is_the_inverse_of_the_ewa_covariance(project_scene):
     scene = cloud(40)
     p = project_scene(scene)

@@ -1,11 +1,10 @@
-"""Finite gradients and `rasterizer.adam`, as loops and in jnp: beside Adam in float64 and beside optax."""
+"""Finite gradients and `rasterizer.adam`, as loops and in jnp, next to Adam in float64."""
 
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 from tolerances import assert_close
 
@@ -64,23 +63,6 @@ def test_steps_are_those_in_float64(backend, shape):
     assert_alike(moments, of_float64, gradients)
     if parameters.size:
         assert actual.reshape(-1)[0] == parameters.reshape(-1)[0], "no gradient, no step"
-
-
-@BACKENDS
-def test_each_step_is_that_of_optax(backend):
-    parameters = jnp.asarray(np.random.default_rng(1).uniform(1, 2, (300, 3)), jnp.float32)
-    optimizer = optax.adam(RATE, eps=EPS)
-    state = optimizer.init(parameters)
-    gradients = gradients_of(parameters.shape, 5)
-    for count, gradient in enumerate(gradients, 1):
-        how = {"rate": RATE, "count": jnp.int32(count), "backend": backend}
-        moments = Moments(state[0].mu, state[0].nu)
-        moved, after = rasterizer.adam(parameters, jnp.asarray(gradient), moments, jnp.bool_(False), **how)
-        with jax.numpy_dtype_promotion("standard"):
-            updates, state = optimizer.update(jnp.asarray(gradient), state, parameters)
-        parameters += updates
-        np.testing.assert_array_max_ulp(np.asarray(moved), np.asarray(parameters), 1)
-        assert_alike(after, Moments(state[0].mu, state[0].nu), gradients)
 
 
 @BACKENDS
