@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import cloud
 
-from rasterizer import GSPLAT, Projection, TileGrid, TilePairs, bin_splats, binning, count_pairs, project
+from rasterizer import GSPLAT, Projection, TileGrid, bin_splats, binning, count_pairs, project
 
 GRID = TileGrid(2, 37, 29, 8)
 CAPACITY = 4096
@@ -119,27 +119,6 @@ def test_more_pairs_than_int32_counts_do_not_wrap_round():
     )
     assert count_pairs(projection, TileGrid(1, 8192, 8192, 8)) == np.iinfo(np.int32).max
     assert count_pairs(projection, TileGrid(1, 2048, 2048, 8)) == 3000 * 256 * 256
-
-
-def test_a_session_of_float64_lists_the_same(lists):
-    scene = SCENES["cloud"]
-    projection = project_scene(scene)
-    expected = lists(projection, scene.opacities)
-    with jax.enable_x64(True):
-        again = lists(projection, scene.opacities)
-        finer = lists(jax.tree.map(in_float64, projection), in_float64(scene.opacities))
-    total = int(expected.offsets[-1])  # What lies in the slots after them is anybody's.
-    for name in TilePairs._fields:
-        for actual in (again, finer):
-            ours, theirs = (
-                getattr(x, name)[:total] if name == "splats" else getattr(x, name) for x in (actual, expected)
-            )
-            assert ours.dtype == theirs.dtype
-            np.testing.assert_array_equal(ours, theirs)
-
-
-def in_float64(x):
-    return x.astype(jnp.float64) if x.dtype == jnp.float32 else x
 
 
 @pytest.mark.parametrize("num_tiles", [12, 1 << 16])

@@ -23,12 +23,11 @@ SIZE = SCENE.width, SCENE.height
 TILES = -(-SCENE.width // TILE), -(-SCENE.height // TILE)  # x, y
 # Engines share all of this: one shows it, the others by night.
 ENGINES = [b if b == "native" else pytest.param(b, marks=pytest.mark.long) for b in BACKENDS if b != "reference"]
-UNMASKED = jnp.ones((2, *TILES[::-1]), bool)
 
 
 @jax.jit
 @partial(jax.grad, has_aux=True)
-def through_the_stages(scene, masks):
+def through_the_stages(scene):
     """The gradient of `scenes.loss`, and image and alphas of a scene, one stage after the other."""
     radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
         scene.means, None, scene.quats, scene.scales, scene.viewmats, scene.Ks, *SIZE, opacities=scene.opacities
@@ -38,7 +37,7 @@ def through_the_stages(scene, masks):
     colors = jnp.broadcast_to(scene.colors, (2, *scene.colors.shape))
     opacities = jnp.broadcast_to(scene.opacities, (2, *scene.opacities.shape))
     image, alphas = rasterizer.rasterize_to_pixels(
-        means2d, conics, colors, opacities, *SIZE, TILE, offsets, splats, scene.backgrounds, masks
+        means2d, conics, colors, opacities, *SIZE, TILE, offsets, splats, scene.backgrounds
     )
     return weighted(image, alphas), (image, alphas)
 
@@ -52,20 +51,10 @@ def weighted(image, alphas):
 
 def test_the_stages_composed_are_the_front_door_in_value_and_gradient():
     *images, _, expected = evaluate(SCENE, "native")
-    gradient, outputs = through_the_stages(SCENE, UNMASKED)
+    gradient, outputs = through_the_stages(SCENE)
     assert_close(list(outputs), images)
     for field, error in relative_errors(gradient, expected).items():
         assert error < 1e-4, (field, error)
-
-
-def test_masked_tiles_show_the_background_and_the_rest_is_unchanged():
-    masks = np.random.default_rng(0).uniform(size=UNMASKED.shape) < 0.5
-    _, (image, alphas) = through_the_stages(SCENE, UNMASKED)
-    _, masked = through_the_stages(SCENE, jnp.asarray(masks))
-    is_drawn = masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SIZE[1], : SIZE[0], None]
-    assert 0 < is_drawn.mean() < 1
-    for ours, unmasked, behind in zip(masked, (image, alphas), (SCENE.backgrounds[:, None, None], 0), strict=True):
-        np.testing.assert_array_equal(ours, np.where(is_drawn, unmasked, behind))
 
 
 def test_intersections_are_those_of_a_loop():
@@ -155,19 +144,6 @@ def test_compensations_and_the_clip_of_small_radii():
     clipped = projection(radius_clip=limit)[0]
     np.testing.assert_array_equal(clipped, np.where((np.asarray(radii) <= limit).all(-1, keepdims=True), 0, radii))
     assert np.any(clipped > 0)
-
-
-def test_nothing_to_draw_is_the_background():
-    @jax.jit
-    def drawn(means2d, radii, depths):
-        _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, TILE, *TILES, capacity=1)
-        lists = rasterizer.isect_offset_encode(ids, 1, *TILES), splats
-        features = jnp.zeros((1, 0, 3)), jnp.zeros((1, 0, 4)), depths
-        return rasterizer.rasterize_to_pixels(means2d, *features, *SIZE, TILE, *lists, jnp.ones((1, 4)))
-
-    image, alphas = drawn(jnp.zeros((1, 0, 2)), jnp.zeros((1, 0, 2), jnp.int32), jnp.zeros((1, 0)))
-    np.testing.assert_array_equal(image, np.ones((1, SIZE[1], SIZE[0], 4)))
-    np.testing.assert_array_equal(alphas, 0)
 
 
 def stacked(scenes):

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxprs import equations
 from scenes import cloud, loss, render
 from tolerances import assert_close
 
@@ -86,18 +85,6 @@ def test_the_probe_takes_the_gradient_of_the_means(backend):
     assert_close(of_probe.sum(1), of_Ks[:, :2, 2], kind="gradient")
     assert np.abs(of_probe).max() > 0.1
     assert_close(gradients(zeros + 0.25, Ks)[1], means2d + 0.25)
-
-
-def test_what_is_not_read_is_not_in_the_program():
-    def program(read):
-        def image_and_info(scene):
-            image, _, info = render(scene, **OPTIONS)
-            return image, *(info[name] for name in read)
-
-        return sum(1 for _ in equations(jax.make_jaxpr(image_and_info)(PAIR).jaxpr))
-
-    assert program(KEYS | SIZES.keys()) == program(())
-    assert all(program((name,)) > program(()) for name in KEYS_OF_LISTS)
 
 
 def test_results_pass_through_jit_with_their_sizes():

@@ -40,22 +40,6 @@ def test_every_basis_function_against_scipy(degree, x64):
     assert_close(basis, np.stack(expected, -1), rtol=0, atol=1e-12, why="zeros are compared; constants have 16 digits")
 
 
-def test_weights_leave_out_upper_bands_and_their_gradients():
-    degree, rng = 2, np.random.default_rng(4)
-    directions, coeffs = rng.normal(size=(8, 3)), rng.normal(size=(8, 15, 3))
-    directions, coeffs = jnp.asarray(directions, jnp.float32), jnp.asarray(coeffs, jnp.float32)
-    weights = jnp.asarray(np.arange(1, 16) < (degree + 1) ** 2, jnp.float32)
-
-    def cut(directions, coeffs):
-        return upper_bands(directions, coeffs[:, : (degree + 1) ** 2 - 1])
-
-    def value_and_slopes(function):
-        return jax.jit(jax.value_and_grad(lambda *x: jnp.sum(jnp.sin(function(*x))), (0, 1)))
-
-    expected = value_and_slopes(cut)(directions, coeffs)
-    assert_close(value_and_slopes(upper_bands)(directions, coeffs, weights), expected)
-
-
 def test_only_a_cpu_sums_bands_by_a_product_of_matrices(monkeypatch):
     """The matrix units of a GPU round, and its products of small matrices are slow."""
     rng = np.random.default_rng(5)

@@ -61,29 +61,26 @@ def engines_root():
 
 def test_vmap_scan_eager_and_donation_are_the_plain_call():
     scene = cloud()
-    image = render(scene, capacity=2048, backend="native")[0]
-    eager = render(scene, backend="native")[0]
-    np.testing.assert_array_equal(eager, image)
+
+    def one(opacities):
+        return render(replace(scene, opacities=opacities), capacity=2048, backend="native")[0]
+
+    @jax.jit
+    def gradient_and_image(opacities):
+        return jax.grad(lambda x: (lambda image: (jnp.sum(image**2), image))(one(x)), has_aux=True)(opacities)
+
+    np.testing.assert_array_equal(render(scene, backend="native")[0], one(scene.opacities))
     opacities = jnp.stack([scene.opacities, 0.5 * scene.opacities])
-    each = [render(replace(scene, opacities=x), capacity=2048, backend="native")[0] for x in opacities]
-
-    def one(x):
-        return render(replace(scene, opacities=x), capacity=2048, backend="native")[0]
-
-    _, scanned = jax.lax.scan(lambda carry, x: (carry, one(x)), 0, opacities)
+    each = [one(row) for row in opacities]
+    _, scanned = jax.lax.scan(lambda carry, row: (carry, one(row)), 0, opacities)
     assert_close(scanned, np.stack(each))
-    donated = jax.jit(lambda x: (one(x), 2 * x), donate_argnums=0)
+    donated = jax.jit(lambda row: (one(row), 2 * row), donate_argnums=0)
     assert_close(donated(opacities[1] + 0)[0], each[1])
-
-    def gradient_and_image(x):
-        return jax.grad(lambda x: (lambda image: (jnp.sum(image**2), image))(one(x)), has_aux=True)(x)
-
-    gradient, mapped = jax.jit(jax.vmap(gradient_and_image))(opacities)
+    gradients, mapped = jax.jit(jax.vmap(gradient_and_image))(opacities)
     assert_close(mapped, np.stack(each))
-    plain = jax.jit(gradient_and_image)
-    for mapped_gradient, x in zip(gradient, opacities, strict=True):
-        alone = plain(x)[0]
-        assert np.linalg.norm(mapped_gradient - alone) <= 1e-5 * np.linalg.norm(alone)
+    for gradient, row in zip(gradients, opacities, strict=True):
+        expected = gradient_and_image(row)[0]
+        assert np.linalg.norm(gradient - expected) <= 1e-5 * np.linalg.norm(expected)
 
 
 def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, caplog):
@@ -116,15 +113,6 @@ def test_another_interface_of_xla_is_refused_by_its_version(monkeypatch, tmp_pat
         else:
             with pytest.raises(ImportError, match=r"version 1\.0, not 0\.3 or later"):
                 engine._check_interface()
-
-
-def test_programs_with_the_loops_are_kept_on_disk():
-    """What calls back into Python is not; jax's own store of programs takes these."""
-    scene = cloud()
-    program = jax.jit(partial(render, capacity=2048, backend="native")).lower(scene)
-    text = program.as_text()
-    assert "rasterizer_forward" in text and "rasterizer_lists" in text
-    assert "callback" not in text
 
 
 STRESS = """

@@ -168,15 +168,3 @@ def test_kernels_by_mosaic_equal_their_twin(tile):
     np.testing.assert_array_equal(outputs[2], expected[2])
     for slope, reference in zip(slopes, right, strict=True):
         assert np.linalg.norm(slope - reference) < 1e-5 * np.linalg.norm(reference)
-
-
-@needs_mosaic
-def test_kernels_by_mosaic_lower_for_cuda_and_what_mosaic_cannot_do_is_jnp(tile):
-    program, splats = tile
-
-    def calls(front):
-        traced = program(_mosaic.engine(interpret=False), front).trace(*splats)
-        return traced.lower(lowering_platforms=("cuda",)).as_text().count("custom_call @mosaic_gpu")
-
-    assert calls(None) == 2
-    assert calls(Front(1, 0.2)) == 0

@@ -2,18 +2,14 @@
 
 from collections import Counter
 from dataclasses import replace
-from types import SimpleNamespace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxprs import equations
 from scenes import cloud, loss, render
-from tolerances import assert_close
 
-import rasterizer
-from rasterizer import INRIA, tracing
+from rasterizer import INRIA
 
 COUNT = 41  # Like no other size in the program.
 
@@ -87,24 +83,6 @@ def test_an_option_adds_its_operations_and_its_absence_none(name):
         assert sum(with_it.values()) > sum(without.values())
     for primitive in primitives:
         assert with_it[primitive] > without[primitive]
-
-
-def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
-    """There the branch is a wall to fusion; a GPU would wait for it."""
-    scene = transparent(cloud(COUNT))
-    shape = scene.means, scene.quats, scene.scales, scene.opacities, scene.viewmats, scene.Ks
-
-    def branches():
-        def total(*arrays):
-            return jnp.sum(rasterizer.project(*arrays, scene.width, scene.height).conics)
-
-        return operations(equations(jax.make_jaxpr(jax.grad(total))(*shape).jaxpr))["cond"], total(*shape)
-
-    on_cpu, expected = branches()
-    monkeypatch.setattr(tracing, "default_device", lambda: SimpleNamespace(platform="gpu"))
-    on_gpu, value = branches()
-    assert on_cpu >= 2 and on_gpu == 0
-    assert_close(value, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
 
 
 def test_no_array_of_tiles_by_splats_nor_of_pairs_by_pixels():

@@ -1,7 +1,4 @@
-from dataclasses import replace
-
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import camera_at, cloud, intrinsics, make, single, textbook
@@ -37,19 +34,6 @@ def test_conic_is_the_inverse_of_the_ewa_covariance(project_scene):
     assert_close(p.depths[0], depths)
     identity = as_matrix(p.conics[0]) @ covariances
     np.testing.assert_allclose(identity, np.broadcast_to(np.eye(2), identity.shape), atol=1e-4)
-
-
-def test_a_needle_of_aspect_a_million_keeps_its_conic(project_scene):
-    rng = np.random.default_rng(0)
-    scene = cloud(40, seed=3)
-    needles = replace(scene, scales=jnp.asarray(10.0 ** rng.choice([-6, 0], (40, 3)), jnp.float32))
-    p = project_scene(needles)
-    _, _, covariances = ewa(needles)
-    assert p.visible.sum() > 20
-    conics, expected = as_matrix(p.conics[0]), np.linalg.inv(covariances)
-    error = np.linalg.norm(conics - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))
-    assert error.max() < 2e-5
-    assert np.all(np.linalg.det(conics) > -1e-6 * np.linalg.norm(conics, axis=(1, 2)) ** 2)
 
 
 def test_the_affine_map_is_clamped_beside_the_image(project_scene):

@@ -15,10 +15,9 @@ from gsjax import gaussians as free_gaussians
 from gsjax import rendering
 from gsjax.binding import bound as bound_gaussians
 from gsjax.binding.bound import LAYOUTS, bind, to_gaussians, to_mesh
-from gsjax.binding.editing import rebound, with_vertices
-from gsjax.errors import InputError
+from gsjax.binding.editing import with_vertices
 from gsjax.gaussians import SH_C0
-from gsjax.scene.meshes import Mesh, face_normals
+from gsjax.scene.meshes import Mesh
 from gsjax.training.initialize import DEAD_LOGIT
 
 THICKNESS = 0.003
@@ -58,21 +57,6 @@ def test_barycentric_coordinates_sum_to_one_and_are_symmetric():
         turned = np.roll(places, 1, axis=1)
         assert {tuple(np.round(p, 12)) for p in places} == {tuple(np.round(p, 12)) for p in turned}
         assert radius == pytest.approx(radii[per_triangle], abs=5e-6)
-
-
-def test_means_lie_inside_their_triangle_and_the_thin_axis_is_its_normal():
-    mesh, per_triangle = crumpled(), 6
-    bound = trained(mesh, per_triangle)
-    assert bound.per_triangle == per_triangle
-    corners = mesh.vertices.astype(np.float64)[np.repeat(mesh.faces, per_triangle, axis=0)]
-    places = np.linalg.solve(np.moveaxis(corners, 1, 2), np.asarray(means(bound), np.float64)[..., None])[..., 0]
-    np.testing.assert_allclose(places.sum(axis=1), 1, rtol=1e-4)
-    assert places.min() > 0.1
-    variances, axes = np.linalg.eigh(np.asarray(covariances(bound), np.float64))
-    normals = np.repeat(face_normals(mesh), per_triangle, axis=0)
-    np.testing.assert_allclose(np.abs(np.sum(axes[..., 0] * normals, axis=-1)), 1, atol=1e-5)
-    np.testing.assert_allclose(np.sqrt(variances[:, 0]), THICKNESS, rtol=0.02)  # of 1e-3 of the largest entry
-    np.testing.assert_allclose(np.sqrt(variances[:, 1:]), np.sort(np.exp(bound.log_scales), axis=1), rtol=1e-3)
 
 
 def test_one_equilateral_triangle_has_its_closed_form():
@@ -131,23 +115,6 @@ def test_a_triangle_that_collapses_in_an_edit_keeps_the_shape_of_its_gaussians()
     before = trained(mesh_of(TRIANGLE, [[0, 1, 2]]))
     after = with_vertices(before, TRIANGLE * [1, 0, 1])
     assert_close(jnp.sort(after.log_scales), jnp.sort(before.log_scales))
-
-
-def test_mesh_and_gaussians_as_they_are_written_can_be_bound_again():
-    before = replace(trained(crumpled()), pixel_filter="classic")
-    mesh, gaussians = to_mesh(before), to_gaussians(before)
-    scene = rebound(mesh, gaussians)
-    assert scene.free is None
-    after = scene.bound
-    assert after.thickness == pytest.approx(THICKNESS) and after.pixel_filter == "classic"
-    assert_close(means(after), means(before))
-    assert_close(covariances(after), covariances(before))
-    for name in ("logit_opacities", "sh_dc", "sh_rest", "faces"):
-        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-    with pytest.raises(InputError, match="32 Gaussians are not 1, 3, 4 or 6 to each of 7 triangles"):
-        rebound(mesh_of(mesh.vertices, mesh.faces[:7]), gaussians)
-    with pytest.raises(InputError, match="one is .* units from its place there"):
-        rebound(mesh_of(mesh.vertices, mesh.faces[::-1]), gaussians)
 
 
 # --- gradients

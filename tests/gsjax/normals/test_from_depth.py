@@ -55,18 +55,6 @@ def test_a_plane_gives_its_normal_everywhere_at_any_scale(estimate, normal, scal
     assert np.all(normals[~inner] == 0)
 
 
-def test_a_sphere_gives_radial_normals():
-    center = np.array([0.1, -0.05, 3.0])
-    b, a = RAYS @ center, np.sum(RAYS**2, axis=-1)
-    discriminant = b**2 - a * (center @ center - 0.7**2)
-    depth = np.where(discriminant > 0, (b - np.sqrt(np.maximum(discriminant, 0))) / a, 0)
-    outward = (RAYS * depth[..., None] - center) / 0.7
-    facing = (depth > 0) & (-np.sum(outward * RAYS / np.sqrt(a)[..., None], axis=-1) > 0.5)
-    assert degrees_between(raw(depth), outward)[facing].max() < 1.5  # a pixel spans 2 degrees of it
-    error = degrees_between(smoothed(depth), outward)[facing]
-    assert error.mean() < 8  # windows of 4 pixels across on a disc of 32
-
-
 def test_next_to_a_hole_the_difference_is_one_sided():
     normal = unit((0.3, 0.2, -1))
     depth = plane_depth(normal, 2.0)

@@ -80,10 +80,3 @@ def test_scenes_that_need_about_as_many_pairs_share_a_program(monkeypatch):
     assert gallery._capacity(first + 1) > first
     assert gallery._capacity(10) < first, "memory is not wasted on what needs a hundredth"
     assert gallery._capacity(10**9) == rasterizer.capacity_bucket(10**9), "nor does a long one outgrow its index"
-
-
-def test_where_every_slot_is_sorted_a_buffer_is_as_short_as_it_may_be(monkeypatch):
-    monkeypatch.setattr(gallery, "_compiled", set())
-    monkeypatch.setattr(gallery, "resolve", lambda backend: "xla")
-    for needed in (5000, 1000, 4000):
-        assert gallery._capacity(needed) == rasterizer.capacity_bucket(needed)

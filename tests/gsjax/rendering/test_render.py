@@ -1,4 +1,3 @@
-import re
 from dataclasses import replace
 from functools import partial
 
@@ -79,27 +78,6 @@ def test_what_shines_through_from_behind_is_not_in_the_depth_in_front():
     assert np.abs(of["front"] - 2).max() < 0.02
 
 
-def test_the_gradient_of_depth_turns_and_stretches_splats():
-    # One disc fills the image: its alpha does not change to first order where only its plane turns.
-    disc = plane((0.3, 0.2, -1.0), per_side=2, spacing=1.0, radius=6.0)
-    camera = camera_at()
-    weights = jnp.asarray(np.random.default_rng(0).uniform(size=(24, 32)), jnp.float32)
-
-    @jax.jit
-    @jax.value_and_grad
-    def objective(free):
-        return jnp.mean(weights * render_view(replace(disc, **free), 0, camera).depth)
-
-    free = {"quats": disc.quats, "log_scales": disc.log_scales}
-    gradient = objective(free)[1]
-    for name, values in free.items():
-        direction = jnp.asarray(np.random.default_rng(1).normal(size=values.shape), jnp.float32)
-        ahead, behind = (objective({**free, name: values + step * direction})[0] for step in (1e-2, -1e-2))
-        slope = float(jnp.sum(gradient[name] * direction))
-        assert abs(slope) > 1e-3
-        assert (float(ahead) - float(behind)) / 2e-2 == pytest.approx(slope, rel=2e-2)
-
-
 def test_the_mip_filter_is_the_antialiased_reference_and_absent_where_it_is_not_asked_for():
     filtered = replace(SCENE, pixel_filter="mip")
     image, alphas = dense_reference(SCENE, eps2d=0.1, rasterize_mode="antialiased")
@@ -169,41 +147,11 @@ def test_axes_and_further_channels_are_composited_beside_colours_and_depth():
     assert_close((view.colors, view.alphas, view.depth), (plain.colors, plain.alphas, plain.depth))
 
 
-@pytest.mark.long
-def test_axes_in_the_common_pass_have_the_gradient_of_a_pass_of_their_own():
-    weights = jnp.asarray(np.random.default_rng(0).normal(size=(24, 32, 3)), jnp.float32)
-
-    def together(gaussians):
-        return jnp.sum(weights * render_view(gaussians, with_axes=True).axes)
-
-    def alone(gaussians):
-        splats = rendering.splat(gaussians, CAMERA, CAPACITY)
-        axes = rendering.facing_axes(rendering.drawable(gaussians), CAMERA, splats.projection)
-        return jnp.sum(weights * rendering.features(splats, axes)[0])
-
-    gradient, expected = (jax.jit(jax.grad(each))(SCENE) for each in (together, alone))
-    assert np.abs(expected.quats[:ALIVE]).max() > 0.1
-    for name in ("means", "quats", "log_scales", "logit_opacities"):
-        assert_close(getattr(gradient, name), getattr(expected, name))
-
-
 def test_the_capacity_that_a_view_needs_is_counted_before_it_is_rendered():
     needed = int(jax.jit(rendering.needed_capacity)(SCENE, CAMERA))
     pairs = render_view(SCENE).splats.pairs
     assert int(pairs.needed) == needed < CAPACITY and not bool(pairs.overflowed)
     assert bool(jax.jit(rendering.splat, static_argnums=2)(SCENE, CAMERA, needed - 1).pairs.overflowed)
-
-
-def test_without_depth_there_is_no_depth_in_the_program():
-    def most_channels(**options):
-        program = jax.make_jaxpr(
-            lambda g: rendering.render(g, CAMERA, capacity=CAPACITY, background=BACKGROUND, **options)
-        )(SCENE)
-        return max(int(channels) for channels in re.findall(r"f32\[1,24,32,(\d+)\]", str(program)))
-
-    without = most_channels()
-    assert most_channels(with_depth=True, depth_mode="center") == without + 1
-    assert most_channels(with_depth=True) == without + 3
 
 
 @pytest.mark.long
