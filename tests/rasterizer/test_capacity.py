@@ -73,10 +73,3 @@ def test_a_new_camera_compiles_nothing(monkeypatch):
     assert not np.array_equal(render(moved)[0], image)
     with pytest.raises(TypeError, match="not callable"):
         render(replace(SCENE, width=SCENE.width + 1))
-
-
-def test_static_numbers_are_of_any_kind():
-    sizes = {"width": np.int64(SCENE.width), "height": jnp.asarray(SCENE.height)}
-    options = {"capacity": np.float32(ENOUGH), "tile_size": jnp.int32(8)}
-    expected = render(SCENE, capacity=ENOUGH, tile_size=8)[0]
-    np.testing.assert_array_equal(render(replace(SCENE, **sizes), **options)[0], expected)

@@ -78,21 +78,6 @@ def test_gradient_against_finite_differences(x64):
     )
 
 
-def test_bands_above_the_degree_are_ignored():
-    rng = np.random.default_rng(3)
-    directions, coeffs = (jnp.asarray(rng.normal(size=(5, *shape)), jnp.float32) for shape in ((3,), (25, 3)))
-
-    @jax.jit
-    @partial(jax.grad, has_aux=True)
-    def gradient_and_colors(coeffs):
-        colors = spherical_harmonics(2, directions, coeffs)
-        return jnp.sum(colors), colors
-
-    (few, few_colors), (every, colors) = gradient_and_colors(coeffs[:, :9]), gradient_and_colors(coeffs)
-    assert_close((every[:, :9], colors), (few, few_colors))
-    assert not np.any(every[:, 9:])
-
-
 LOOPS_AND_JNP = ["native", "xla"]
 
 

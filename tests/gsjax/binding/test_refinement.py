@@ -237,8 +237,10 @@ def refined_uncompiled(monkeypatch, scene, data, finite):
 def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
     solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
     with_mattes, weights = batches.read_batches(solid), SETTINGS.weights
-    made = [refined_uncompiled(monkeypatch, scene, data, lambda weights: True) for data in (scene.data, with_mattes)]
-    assert made == [[replace(weights, alpha=0.0)], [weights]] and weights.alpha > 0
+    weights_of_runs = [
+        refined_uncompiled(monkeypatch, scene, data, lambda weights: True) for data in (scene.data, with_mattes)
+    ]
+    assert weights_of_runs == [[replace(weights, alpha=0.0)], [weights]] and weights.alpha > 0
 
 
 @pytest.mark.parametrize(
