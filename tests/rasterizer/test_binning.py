@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import cloud
 
-from rasterizer import GSPLAT, Projection, TileGrid, TilePairs, bin_splats, binning, count_pairs, project
+from rasterizer import GSPLAT, Projection, TileGrid, bin_splats, binning, count_pairs, project
 
 GRID = TileGrid(2, 37, 29, 8)
 CAPACITY = 4096
@@ -71,38 +71,26 @@ def greatest_alphas(projection, opacities):
     return greatest
 
 
-@pytest.fixture(scope="module", params=SCENES)
-def binned(request, lists):
-    scene = SCENES[request.param]
+@pytest.mark.parametrize("name", SCENES)
+def test_every_pair_that_shows_is_listed_once_and_no_other_front_to_back_and_ties_by_index(lists, name):
+    scene = SCENES[name]
     projection = project_scene(scene)
     pairs = lists(projection, scene.opacities)
-    assert not pairs.overflowed
-    return scene, projection, pairs
-
-
-def test_every_pair_that_shows_is_listed_once_and_no_other(binned):
-    scene, projection, pairs = binned
-    listed = np.zeros((GRID.num_tiles, projection.depths.size), int)
-    for tile, (start, end) in enumerate(zip(pairs.offsets[:-1], pairs.offsets[1:], strict=True)):
-        np.add.at(listed[tile], np.asarray(pairs.splats[start:end]), 1)
-    greatest = greatest_alphas(projection, scene.opacities)
-    # Pairs within rounding of the cut may be listed or not.
-    assert np.all(listed[greatest > GSPLAT.alpha_min * 1.0001] == 1)
-    assert listed.max() == 1
-    extra = (listed == 1) & (greatest < GSPLAT.alpha_min * 0.98)
-    # The listing treats a tile as a box of centres, the test as a grid: a thin ellipse may slip between the centres.
-    assert extra.sum() < 0.2 * listed.sum()
-
-
-def test_lists_run_front_to_back_and_ties_by_index(binned):
-    _, projection, pairs = binned
+    assert not pairs.overflowed and pairs.offsets[0] == 0
     depths = np.asarray(projection.depths).ravel()
-    assert pairs.offsets[0] == 0
-    for start, end in zip(pairs.offsets[:-1], pairs.offsets[1:], strict=True):
+    counts = np.zeros((GRID.num_tiles, depths.size), int)
+    for tile, (start, end) in enumerate(zip(pairs.offsets[:-1], pairs.offsets[1:], strict=True)):
         assert start <= end
         splats = np.asarray(pairs.splats[start:end])
-        order = np.lexsort((splats, depths[splats]))
-        np.testing.assert_array_equal(order, np.arange(len(splats)))
+        np.add.at(counts[tile], splats, 1)
+        np.testing.assert_array_equal(np.lexsort((splats, depths[splats])), np.arange(len(splats)))
+    greatest = greatest_alphas(projection, scene.opacities)
+    # Pairs within rounding of the cut may be listed or not.
+    assert np.all(counts[greatest > GSPLAT.alpha_min * 1.0001] == 1)
+    assert counts.max() == 1
+    extra = (counts == 1) & (greatest < GSPLAT.alpha_min * 0.98)
+    # The listing treats a tile as a box of centres, the test as a grid: a thin ellipse may slip between the centres.
+    assert extra.sum() < 0.2 * counts.sum()
 
 
 def test_capacity_exactly_full_and_one_short(lists):
@@ -133,27 +121,6 @@ def test_more_pairs_than_int32_counts_do_not_wrap_round():
     assert count_pairs(projection, TileGrid(1, 2048, 2048, 8)) == 3000 * 256 * 256
 
 
-def test_a_session_of_float64_lists_the_same(lists):
-    scene = SCENES["cloud"]
-    projection = project_scene(scene)
-    expected = lists(projection, scene.opacities)
-    with jax.enable_x64(True):
-        again = lists(projection, scene.opacities)
-        finer = lists(jax.tree.map(in_float64, projection), in_float64(scene.opacities))
-    total = int(expected.offsets[-1])  # What lies in the slots after them is anybody's.
-    for name in TilePairs._fields:
-        for actual in (again, finer):
-            ours, theirs = (
-                getattr(x, name)[:total] if name == "splats" else getattr(x, name) for x in (actual, expected)
-            )
-            assert ours.dtype == theirs.dtype
-            np.testing.assert_array_equal(ours, theirs)
-
-
-def in_float64(x):
-    return x.astype(jnp.float64) if x.dtype == jnp.float32 else x
-
-
 @pytest.mark.parametrize("num_tiles", [12, 1 << 16])
 def test_a_gpus_sorts_make_the_lists_of_a_cpus(num_tiles):
     """The keys are of two bytes where they hold every tile and what is left over."""
@@ -161,7 +128,7 @@ def test_a_gpus_sorts_make_the_lists_of_a_cpus(num_tiles):
     tiles = jnp.asarray(np.append(rng.integers(num_tiles - 12, num_tiles + 1, 300), num_tiles), jnp.int32)
     ranks = jnp.sort(jnp.asarray(rng.integers(0, 90, 301), jnp.int32))
     (lists, offsets), (expected, expected_offsets) = (
-        make(tiles, ranks, num_tiles) for make in (binning._lists, binning._lists_on_cpu)
+        jax.jit(make, static_argnums=2)(tiles, ranks, num_tiles) for make in (binning._lists, binning._lists_on_cpu)
     )
     np.testing.assert_array_equal(offsets, expected_offsets)
     listed = int(offsets[-1])

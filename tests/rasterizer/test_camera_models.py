@@ -5,7 +5,6 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from scenes import cloud, render, single
 from tolerances import assert_close
 
@@ -72,12 +71,11 @@ POINTS = {
 }
 
 
-@pytest.mark.parametrize("name", POINTS)
-def test_point_and_jacobian_are_those_of_the_definition(name, x64):
-    point = np.array(POINTS[name])
-    for model, (mean2d, jacobian) in here(point).items():
-        assert_close(mean2d, image_of(point, model), rtol=1e-12, why="float64")
-        assert_close(jacobian, jacobian_of(point, model), rtol=1e-6, atol=1e-6, why="central differences")
+def test_point_and_jacobian_are_those_of_the_definition(x64):
+    for point in map(np.array, POINTS.values()):
+        for model, (mean2d, jacobian) in here(point).items():
+            assert_close(mean2d, image_of(point, model), rtol=1e-12, why="float64")
+            assert_close(jacobian, jacobian_of(point, model), rtol=1e-6, atol=1e-6, why="central differences")
 
 
 def test_a_fisheye_sees_beside_and_on_the_axis(x64):
@@ -92,20 +90,6 @@ def test_a_fisheye_sees_beside_and_on_the_axis(x64):
     behind = np.array([0.5, 0.4, -1.0])
     assert_close(here(behind)["fisheye"][0], image_of(behind, "fisheye"), rtol=1e-12, why="float64")
     assert not np.isfinite(here((0.0, 0.0, -1.0))["fisheye"][0]).any()
-
-
-def test_in_float32_nothing_is_lost_near_the_axis_or_far_away():
-    for offset in (0.0, 1e-30, 1e-6, 1e-3, 0.141, 0.142):
-        point = np.array([offset, -0.7 * offset, 1.0], np.float32)
-        with jax.enable_x64(True):
-            expected = here(point.astype(np.float64))
-        for name, image in here(point, np.float32).items():
-            for actual, reference in zip(image, expected[name], strict=True):
-                assert np.abs(actual - reference).max() < 4e-7 * np.abs(reference).max(), (offset, name)
-    # Its square overflows; its image is 90 degrees off.
-    mean2d, jacobian = here((2e30, 0.0, 1.0), np.float32)["fisheye"]
-    assert_close(mean2d, np.array([K[0, 2] + K[0, 0] * np.pi / 2, K[1, 2]], np.float32))
-    assert np.isfinite(jacobian).all()
 
 
 def test_past_its_fold_a_lens_has_no_image():
@@ -171,7 +155,7 @@ def test_conics_are_the_inverse_of_the_covariance_under_the_definition():
 
 def test_a_parallel_projection_does_not_shrink_with_distance_and_sees_along_z():
     near, far = (single(mean=(0.3, 0.2, z), scale=(0.1, 0.1, 0.01)) for z in (2.0, 9.0))
-    images = [render(scene, camera_model="ortho", capacity=256, backend="xla")[0] for scene in (near, far)]
+    images = [render(scene, camera_model="ortho", capacity=256)[0] for scene in (near, far)]
     np.testing.assert_array_equal(*images)
     # A disc far beside the axis, turned towards it, shows its other side to a camera in the origin.
     tilted = single(mean=(9.0, 0.0, 2.0), quat=(0.98, 0.0, -0.2, 0.0), scale=(0.1, 0.1, 0.001))

@@ -44,14 +44,6 @@ def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
         assert info["needed"][i] == alone["needed"]
         for name, error in relative_errors(jax.tree.map(lambda x, i=i: x[i], gradient), expected).items():
             assert error < 1e-4, (name, error)
-    single = gradient_and_rest(SCENE)[0]
-    for name, error in relative_errors(single, evaluate(SCENE, "native")[3]).items():
-        assert error < 1e-4, (name, error)
-
-
-def test_the_reference_needs_no_capacity_inside_jit():
-    image = jax.jit(lambda s: render(s, backend="reference")[0])(SCENE)
-    assert_close(image, render(SCENE, capacity=ENOUGH)[0])
 
 
 def test_too_small_a_capacity_says_so_and_what_is_needed():
@@ -81,10 +73,3 @@ def test_a_new_camera_compiles_nothing(monkeypatch):
     assert not np.array_equal(render(moved)[0], image)
     with pytest.raises(TypeError, match="not callable"):
         render(replace(SCENE, width=SCENE.width + 1))
-
-
-def test_static_numbers_are_of_any_kind():
-    sizes = {"width": np.int64(SCENE.width), "height": jnp.asarray(SCENE.height)}
-    options = {"capacity": np.float32(ENOUGH), "tile_size": jnp.int32(8)}
-    expected = render(SCENE, capacity=ENOUGH, tile_size=8)[0]
-    np.testing.assert_array_equal(render(replace(SCENE, **sizes), **options)[0], expected)

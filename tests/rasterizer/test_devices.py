@@ -89,7 +89,6 @@ def test_a_jax_without_triton_imports_and_takes_mosaic_or_jnp(missing):
     [
         ("", _pallas.atomic_sums),
         ("--xla_gpu_deterministic_ops=true --xla_a=1", _pallas.sorted_sums),
-        ("--xla_gpu_deterministic_ops", _pallas.sorted_sums),
         ("--xla_gpu_deterministic_ops=false", _pallas.atomic_sums),
     ],
 )

@@ -1,16 +1,12 @@
 """10,000 Gaussians against gsplat's own pure-torch reference, computed once in float32 and float64."""
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import OWN
-from tolerances import assert_close
 
 import rasterizer
-from rasterizer import GSPLAT, _reference
 
 pytestmark = pytest.mark.device
 FIELDS = ("means", "quats", "scales", "opacities", "colors")
@@ -65,44 +61,8 @@ def test_image_and_alphas_at_the_99th_percentile(golden, rendered):
     assert np.abs(image - golden["f64_rgb"]).max() < 0.02
 
 
-@pytest.mark.parametrize("name", FIELDS)
-def test_gradients(golden, rendered, name):
-    expected = golden[f"f64_grad_{name}"]
-    error = np.linalg.norm(rendered[3][name] - expected) / np.linalg.norm(expected)
-    assert error < 1e-4  # Measured 1e-5 and less.
-
-
-def test_projection(golden):
-    # The golden radii know no opacities.
-    rules = replace(GSPLAT, opacity_extent=False)
-    cameras = jnp.asarray(golden["viewmat"])[None], jnp.asarray(golden["K"])[None]
-    gaussians = [jnp.asarray(golden[name]) for name in FIELDS[:4]]
-    projection = jax.jit(lambda *a: rasterizer.project(*a, 256, 256, rules=rules))(*gaussians, *cameras)
-    means2d, depths, conics, extents, visible = (np.asarray(x[0]) for x in projection[:5])
-    radii = golden["f64_radii"]
-    # Radii are rounded up to whole pixels: such a splat may graze the image where its true extent does not.
-    assert not np.any(visible & ~np.all(radii > 0, -1))
-    assert np.mean(visible != np.all(radii > 0, -1)) < 0.01
-    assert np.mean(np.ceil(extents[visible]) != radii[visible]) < 1e-3
-    assert np.abs(np.ceil(extents[visible]) - radii[visible]).max() <= 1
-    assert_close(means2d[visible], golden["f64_means2d"][visible], rtol=1e-6, atol=1e-4, why="256 px in float32")
-    assert_close(depths[visible], golden["f64_depths"][visible])
-    error = np.linalg.norm(conics - golden["f64_conics"], axis=-1) / np.linalg.norm(golden["f64_conics"], axis=-1)
-    assert error[visible].max() < 2e-5
-
-
-def test_dense_reference_on_a_crop(golden):
-    x, y, size = 112, 96, 24
-    arrays = [jnp.asarray(golden[name]) for name in FIELDS[:4]]
-    cameras = jnp.asarray(golden["viewmat"])[None], jnp.asarray(golden["K"])[None]
-
-    @jax.jit
-    def crop(means, quats, scales, opacities, colors, viewmats, Ks):
-        projection = rasterizer.project(means, quats, scales, opacities, viewmats, Ks, 256, 256)
-        moved = projection._replace(means2d=projection.means2d - jnp.array([[[x, y]]], jnp.float32))
-        return _reference.composite(moved, opacities[None], colors[None], size, size, GSPLAT)
-
-    image, left, _ = crop(*arrays, jnp.asarray(golden["colors"]), *cameras)
-    expected, expected_alpha = (golden[name][y : y + size, x : x + size] for name in ("f64_rgb", "f64_alpha"))
-    assert np.quantile(np.abs(image[0] - expected), 0.98) < 5e-6
-    assert np.quantile(np.abs(1 - left[0, ..., 0] - expected_alpha), 0.98) < 5e-6
+def test_gradients(golden, rendered):
+    for name in FIELDS:
+        expected = golden[f"f64_grad_{name}"]
+        error = np.linalg.norm(rendered[3][name] - expected) / np.linalg.norm(expected)
+        assert error < 1e-4, name  # Measured 1e-5 and less.

@@ -23,12 +23,11 @@ SIZE = SCENE.width, SCENE.height
 TILES = -(-SCENE.width // TILE), -(-SCENE.height // TILE)  # x, y
 # Engines share all of this: one shows it, the others by night.
 ENGINES = [b if b == "native" else pytest.param(b, marks=pytest.mark.long) for b in BACKENDS if b != "reference"]
-UNMASKED = jnp.ones((2, *TILES[::-1]), bool)
 
 
 @jax.jit
 @partial(jax.grad, has_aux=True)
-def through_the_stages(scene, masks):
+def through_the_stages(scene):
     """The gradient of `scenes.loss`, and image and alphas of a scene, one stage after the other."""
     radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
         scene.means, None, scene.quats, scene.scales, scene.viewmats, scene.Ks, *SIZE, opacities=scene.opacities
@@ -38,7 +37,7 @@ def through_the_stages(scene, masks):
     colors = jnp.broadcast_to(scene.colors, (2, *scene.colors.shape))
     opacities = jnp.broadcast_to(scene.opacities, (2, *scene.opacities.shape))
     image, alphas = rasterizer.rasterize_to_pixels(
-        means2d, conics, colors, opacities, *SIZE, TILE, offsets, splats, scene.backgrounds, masks
+        means2d, conics, colors, opacities, *SIZE, TILE, offsets, splats, scene.backgrounds
     )
     return weighted(image, alphas), (image, alphas)
 
@@ -52,21 +51,10 @@ def weighted(image, alphas):
 
 def test_the_stages_composed_are_the_front_door_in_value_and_gradient():
     *images, _, expected = evaluate(SCENE, "native")
-    gradient, outputs = through_the_stages(SCENE, UNMASKED)
+    gradient, outputs = through_the_stages(SCENE)
     assert_close(list(outputs), images)
     for field, error in relative_errors(gradient, expected).items():
         assert error < 1e-4, (field, error)
-
-
-def test_masked_tiles_show_the_background_and_the_rest_is_unchanged():
-    masks = np.random.default_rng(0).uniform(size=(2, TILES[1], TILES[0])) < 0.5
-    _, (image, alphas) = through_the_stages(SCENE, UNMASKED)
-    _, (masked_image, masked_alphas) = through_the_stages(SCENE, jnp.asarray(masks))
-    is_drawn = masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SIZE[1], : SIZE[0], None]
-    assert 0 < is_drawn.mean() < 1
-    background = np.asarray(SCENE.backgrounds)[:, None, None]
-    np.testing.assert_array_equal(masked_image, np.where(is_drawn, image, np.broadcast_to(background, image.shape)))
-    np.testing.assert_array_equal(masked_alphas, np.where(is_drawn, alphas, 0))
 
 
 def test_intersections_are_those_of_a_loop():
@@ -89,14 +77,14 @@ def test_intersections_are_those_of_a_loop():
                     expected.append(((tile << 32) | depth_bits, image * 12 + n))
                     counts[image, n] += 1
     arrays = jnp.asarray(means2d), jnp.asarray(radii), jnp.asarray(depths)
-    tiles_per_gauss, ids, splats = rasterizer.isect_tiles(*arrays, TILE, *TILES)
+    # A roomy capacity leaves slots that hold nothing, and the offsets do not see them.
+    tiles_per_gauss, padded_ids, padded_splats = rasterizer.isect_tiles(*arrays, TILE, *TILES, capacity=400)
+    ids, splats = padded_ids[: len(expected)], padded_splats[: len(expected)]
     np.testing.assert_array_equal(tiles_per_gauss, counts)
     assert list(zip(np.asarray(ids).tolist(), np.asarray(splats).tolist(), strict=True)) == sorted(expected)
     assert (ids.dtype, splats.dtype, tiles_per_gauss.dtype) == (np.int64, np.int32, np.int32)
     unsorted = (x.tolist() for x in rasterizer.isect_tiles(*arrays, TILE, *TILES, sort=False)[1:])
     assert set(zip(*unsorted, strict=True)) == set(expected)
-    # A roomy capacity leaves slots that hold nothing, and the offsets do not see them.
-    _, padded_ids, padded_splats = rasterizer.isect_tiles(*arrays, TILE, *TILES, capacity=400)
     np.testing.assert_array_equal(padded_ids[len(expected) :], gsplat.PADDING)
     np.testing.assert_array_equal(padded_splats[len(expected) :], -1)
     offsets = np.asarray(rasterizer.isect_offset_encode(padded_ids, 2, *TILES))
@@ -136,35 +124,26 @@ def test_fused_and_staged_projection_agree_and_batches_are_their_members():
     assert np.abs(np.asarray(radii)[visible] - expected[visible]).max() <= 1
     np.testing.assert_allclose(precis, np.linalg.inv(np.asarray(covars, np.float64)), rtol=2e-3)
 
-    cameras = SCENE.viewmats, SCENE.Ks
     batch = jax.tree.map(lambda x: jnp.stack([x, x[::-1]]), (SCENE.means, SCENE.quats, SCENE.scales))
-    both = jax.tree.map(lambda x: jnp.stack([x, x]), cameras)
-    batched = rasterizer.fully_fused_projection(batch[0], None, batch[1], batch[2], *both, *SIZE)
+    both = jax.tree.map(lambda x: jnp.stack([x, x]), (SCENE.viewmats, SCENE.Ks))
+    run = jax.jit(lambda means, *shape: rasterizer.fully_fused_projection(means, None, *shape, *SIZE))
+    batched = run(*batch, *both)
     assert_close(batched[3][1], conics[:, ::-1])
     assert batched[0].shape == (2, 2, 40, 2)
 
 
 def test_compensations_and_the_clip_of_small_radii():
-    cameras = SCENE.viewmats, SCENE.Ks
-    gaussians = SCENE.means, None, SCENE.quats, SCENE.scales
-    radii, *_, compensations = rasterizer.fully_fused_projection(*gaussians, *cameras, *SIZE, calc_compensations=True)
+    def projection(**options):
+        run = partial(rasterizer.fully_fused_projection, calc_compensations=True, **options)
+        gaussians = SCENE.means, None, SCENE.quats, SCENE.scales
+        return jax.jit(lambda *arrays: run(*arrays, *SIZE))(*gaussians, SCENE.viewmats, SCENE.Ks)
+
+    radii, *_, compensations = projection()
     assert np.all((np.asarray(compensations) > 0) & (np.asarray(compensations) < 1))
     limit = int(np.median(np.asarray(radii)[np.asarray(radii) > 0]))
-    clipped = rasterizer.fully_fused_projection(*gaussians, *cameras, *SIZE, radius_clip=limit)[0]
-    small = (np.asarray(radii) <= limit).all(-1, keepdims=True)
-    np.testing.assert_array_equal(clipped, np.where(small, 0, radii))
+    clipped = projection(radius_clip=limit)[0]
+    np.testing.assert_array_equal(clipped, np.where((np.asarray(radii) <= limit).all(-1, keepdims=True), 0, radii))
     assert np.any(clipped > 0)
-
-
-def test_nothing_to_draw_is_the_background():
-    empty = jnp.zeros((1, 0, 2)), jnp.zeros((1, 0, 2), jnp.int32), jnp.zeros((1, 0))
-    _, ids, splats = rasterizer.isect_tiles(*empty, TILE, *TILES)
-    offsets = rasterizer.isect_offset_encode(ids, 1, *TILES)
-    image, alphas = rasterizer.rasterize_to_pixels(
-        empty[0], jnp.zeros((1, 0, 3)), jnp.zeros((1, 0, 4)), empty[2], *SIZE, TILE, offsets, splats, jnp.ones((1, 4))
-    )
-    np.testing.assert_array_equal(image, np.ones((1, SIZE[1], SIZE[0], 4)))
-    np.testing.assert_array_equal(alphas, 0)
 
 
 def stacked(scenes):
@@ -250,5 +229,3 @@ def test_harmonics_in_two_parts_are_the_whole(x64):
     arguments = sh0, shN, means, viewmats
     split, full = (jax.jit(jax.value_and_grad(function, range(4)))(*arguments) for function in (parts, whole))
     assert_close(split, full, kind="gradient")
-    nothing = rasterizer.spherical_harmonics_l1_plus(0, means, viewmats, shN[:, :0])
-    np.testing.assert_array_equal(nothing, np.zeros((2, 2, 30, 2)))

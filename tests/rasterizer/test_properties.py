@@ -12,7 +12,7 @@ from scenes import GAUSSIAN_FIELDS, cloud, evaluate, relative_errors
 from scipy.spatial.transform import Rotation
 from tolerances import assert_close
 
-few = settings(max_examples=8, deadline=None, derandomize=True)
+few = settings(max_examples=5, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**31 - 1)
 
 
@@ -37,26 +37,6 @@ def test_the_order_in_memory_does_not_matter(seed):
 
 @few
 @given(seeds)
-def test_what_lies_behind_an_opaque_wall_changes_nothing(seed):
-    # Two sheets of alpha 0.99 everywhere: the second would bring the transmittance under the limit, all pixels stop.
-    scene = cloud(seed=seed)
-    scene = replace(
-        scene,
-        means=scene.means.at[:2].set(jnp.array([[0, 0, 1.0], [0, 0, 1.1]], jnp.float32)),
-        scales=scene.scales.at[:2].set(1e3),
-        opacities=scene.opacities.at[:2].set(1.0),
-    )
-    other = cloud(seed=seed + 1)
-    replaced = replace(scene, **{f: getattr(other, f).at[:2].set(getattr(scene, f)[:2]) for f in GAUSSIAN_FIELDS})
-    image, _, _, gradient = evaluate(scene, "xla")
-    np.testing.assert_array_equal(evaluate(replace(replaced, backgrounds=scene.backgrounds), "xla")[0], image)
-    for field in GAUSSIAN_FIELDS:
-        np.testing.assert_array_equal(getattr(gradient, field)[2:], 0)
-    assert np.any(gradient.colors[0])
-
-
-@few
-@given(seeds)
 def test_images_are_linear_in_the_colours(seed):
     scene, other = cloud(seed=seed), cloud(seed=seed + 1)
     mixed = replace(
@@ -67,18 +47,6 @@ def test_images_are_linear_in_the_colours(seed):
     second = replace(scene, colors=other.colors, backgrounds=other.backgrounds)
     images = [evaluate(s, "xla")[0] for s in (mixed, scene, second)]
     assert_close(images[0], 2 * images[1] - 0.5 * images[2])
-
-
-@few
-@given(seeds)
-def test_the_background_shows_through_exactly_where_alpha_is_missing(seed):
-    black = replace(cloud(seed=seed), colors=jnp.zeros((40, 3)), backgrounds=jnp.ones((1, 3)))
-    image, alphas, _, gradient = evaluate(black, "xla")
-    np.testing.assert_allclose(image, np.broadcast_to(1 - alphas, image.shape), rtol=0, atol=6e-8)
-    assert alphas.min() >= 0 and alphas.max() < 1
-    # The weights of the loss, seen through what is left.
-    weights = np.random.default_rng(3).normal(size=image.shape)
-    np.testing.assert_allclose(gradient.backgrounds[0], (weights * image).sum((0, 1, 2)), rtol=1e-4, atol=1e-4)
 
 
 @few
@@ -108,7 +76,9 @@ def test_moving_world_and_camera_together_changes_nothing(seed):
     assert np.linalg.norm(turned_back - gradient.means) < 1e-2 * np.linalg.norm(gradient.means)
 
 
-@pytest.mark.parametrize("backend", ["native", "xla", pytest.param("pallas", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "backend", ["native", *(pytest.param(each, marks=pytest.mark.long) for each in ("xla", "pallas"))]
+)
 def test_two_runs_give_the_same_bits_and_a_batch_of_cameras_is_its_cameras_with_their_gradients(backend):
     scene = cloud(cameras=2)
     cameras = {name: getattr(scene, name)[:, None] for name in ("viewmats", "Ks", "backgrounds")}

@@ -33,7 +33,6 @@ def zeros(*shape):
     ("changes", "message"),
     [
         ({"means": zeros(40, 2)}, r"means.shape=\(40, 2\)"),
-        ({"means": 1.0}, r"means.shape=\(\), expected \[N, 3\]"),
         ({"quats": zeros(39, 4)}, r"quats.shape=\(39, 4\), expected \(40, 4\)"),
         ({"quats": None}, "a Gaussian's shape is missing: pass quats and scales, or covars"),
         ({"covars": zeros(40, 6)}, r"covars.shape=\(40, 6\), expected \(40, 3, 3\)"),
@@ -43,7 +42,6 @@ def zeros(*shape):
         ({"Ks": zeros(2, 3, 3)}, r"Ks.shape=\(2, 3, 3\)"),
         ({"colors": zeros(2, 40, 3)}, r"colors.shape=\(2, 40, 3\), expected .* C=1"),
         ({"colors": zeros(40, 0)}, r"colors.shape=\(40, 0\) holds no channel"),
-        ({"colors": 1.0}, r"colors.shape=\(\) holds no channel"),
         ({"colors": None, "render_mode": "RGB+D"}, "colors=None needs a render_mode of depth alone, not 'RGB"),
         ({"sh_degree": 1}, r"colors.shape=\(40, 3\), expected \[N, K, 3\]"),
         ({"colors": zeros(40, 3, 3), "sh_degree": 1}, "degree 1 needs 4 coefficients"),
@@ -54,14 +52,12 @@ def zeros(*shape):
         ({"masks": zeros(1, 4, 5)}, "masks.dtype=.*float32.*, expected bool"),
         ({"means2d_probe": zeros(40, 2)}, r"means2d_probe.shape=\(40, 2\), expected \(1, 40, 2\)"),
         ({"absgrad": True}, r"absgrad=True: pass zeros of shape \(1, 40, 2\), whose gradient is what gsplat writes"),
-        ({"absgrad": zeros(40, 2)}, r"absgrad=\[40, 2\]: pass zeros of shape \(1, 40, 2\)"),
         ({"absgrad": zeros(1, 40, 2), "backend": "reference"}, "absgrad needs a tile backend, not 'reference'"),
         (
             {"absgrad": zeros(1, 40, 2), "colors": zeros(40, 17), "backgrounds": zeros(1, 17)},
             "absgrad needs a tile backend and at most 16 channels",
         ),
         ({"render_mode": "rgb"}, "render_mode='rgb' is not one of"),
-        ({"rasterize_mode": "mip"}, "rasterize_mode='mip' is not one of"),
         ({"backend": "cuda"}, "backend='cuda'"),
         ({"camera_model": "ftheta"}, "camera_model='ftheta' is not one of"),
         ({"radial_coeffs": zeros(1, 4)}, "radial_coeffs need camera_model='fisheye', not 'pinhole'"),
@@ -103,7 +99,7 @@ def rasterize(**changes):
     return rasterization(**fields)
 
 
-@pytest.mark.parametrize("option", ["packed", "sparse_grad", "with_ut", "renger_mode"])
+@pytest.mark.parametrize("option", ["packed", "renger_mode"])
 def test_arguments_that_are_not_supported_are_no_arguments(option):
     with pytest.raises(TypeError, match=f"unexpected keyword argument '{option}'"):
         rasterize(**{option: True})
@@ -166,14 +162,11 @@ def test_blending_without_lists_by_a_backend_that_needs_them():
 @pytest.mark.parametrize(
     "derivative",
     [
-        lambda image, colors: jax.jvp(image, (colors,), (colors,)),
         lambda image, colors: jax.jvp(jax.jit(image), (colors,), (colors,)),
         lambda image, colors: jax.linearize(image, colors)[1](colors),
-        lambda image, colors: jax.jacfwd(image)(colors),
-        lambda image, colors: jax.hessian(lambda c: image(c).sum())(colors),
         lambda image, colors: jax.grad(lambda c: jax.grad(lambda c: (image(c) ** 2).sum())(c).sum())(colors),
     ],
-    ids=["jvp", "jvp of jit", "linearize", "jacfwd", "hessian", "grad of grad"],
+    ids=["jvp of jit", "linearize", "grad of grad"],
 )
 def test_derivatives_that_the_tiles_do_not_have(derivative):
     with pytest.raises(TypeError, match="need backend='reference'"):

@@ -17,7 +17,7 @@ from rasterizer.similarity import ssim
 
 BACKENDS = pytest.mark.parametrize("backend", ["native", "xla"])
 # Smaller than the window, as large as a tile of the loops, larger by one, of several tiles; up to a channel too many.
-SHAPES = [(1, 2, 3), (4, 70, 1), (32, 64, 3), (33, 65, 3), (9, 100, 2), (70, 140, 3), (12, 13, 4)]
+SHAPES = [(1, 2, 3), (32, 64, 3), (33, 65, 2), (70, 140, 1), (12, 13, 4)]
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -55,8 +55,7 @@ def in_float64(image, target, mask):
 
 
 @BACKENDS
-@pytest.mark.parametrize("is_masked", [False, True])
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(("shape", "is_masked"), [*((shape, True) for shape in SHAPES), (SHAPES[1], False)])
 def test_value_and_both_gradients_are_those_in_float64(backend, shape, is_masked):
     image, target, mask = pair(shape)
     mask = mask if is_masked else np.ones_like(mask)
@@ -72,32 +71,11 @@ def test_value_and_both_gradients_are_those_in_float64(backend, shape, is_masked
         assert np.all(np.asarray(gradient)[~mask] == 0)
 
 
-def test_the_gradient_of_the_loops_is_the_slope_of_their_value():
-    image, target, mask = map(jnp.asarray, pair((40, 70, 3)))
-    value = jax.jit(partial(ssim, target=target, mask=mask, backend="native"))
-    gradient = jax.jit(jax.grad(value))(image)
-    direction = gradient / jnp.linalg.norm(gradient)
-    slope = (value(image + 0.05 * direction) - value(image - 0.05 * direction)) / 0.1
-    assert_close(
-        slope, np.linalg.norm(gradient), rtol=5e-3, why="a difference of two float32 values that share 3 digits"
-    )
-
-
 @BACKENDS
 def test_no_valid_pixel_gives_zero_and_no_gradient(backend):
     image, target, mask = pair((20, 30, 3))
-    value, gradient = jax.value_and_grad(partial(ssim, backend=backend))(image, target, np.zeros_like(mask))
+    value, gradient = jax.jit(jax.value_and_grad(partial(ssim, backend=backend)))(image, target, np.zeros_like(mask))
     assert value == 0 and not np.any(gradient)
-
-
-@BACKENDS
-def test_a_gradient_weighs_channels_by_itself(backend):
-    """A channel that is equal in both images has no gradient."""
-    image, target, mask = pair((20, 30, 3))
-    image[..., 1] = target[..., 1]
-    gradient = jax.grad(partial(ssim, backend=backend))(image, target, mask)
-    assert_close(gradient[..., 1], np.zeros((20, 30), np.float32), rtol=0, atol=1e-8, why="roundings at a maximum")
-    assert np.abs(gradient[..., 0]).max() > 1e-5
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -113,7 +91,7 @@ def test_a_bad_number_spreads_as_in_jnp(bad):
     assert not np.isfinite(native[0]) and not np.isfinite(twin[0])
     np.testing.assert_array_equal(np.isfinite(native[1]), np.isfinite(twin[1]))
     mask[20, 66] = False
-    value, gradient = jax.value_and_grad(partial(ssim, backend="native"))(image, target, mask)
+    value, gradient = jax.jit(jax.value_and_grad(partial(ssim, backend="native")))(image, target, mask)
     assert np.isfinite(value) and np.isfinite(gradient).all()
 
 
@@ -141,7 +119,7 @@ def test_the_loops_under_vmap_and_twice_differentiated_are_the_jnp_code():
 def test_other_dtypes_run_in_jnp(x64):
     image, target, mask = pair((10, 12, 3))
     image, target = image.astype(np.float64), target.astype(np.float64)
-    value = ssim(jnp.asarray(image), jnp.asarray(target), jnp.asarray(mask), backend="native")
+    value = jax.jit(partial(ssim, backend="native"))(image, target, mask)
     assert_close(value, in_float64(image, target, mask)[0])
 
 

@@ -12,8 +12,8 @@ from gsjax import rendering
 from gsjax.rendering import Drawable
 from gsjax.scene.cameras import Camera
 
-BACKENDS = ["reference", "native", "xla", "pallas"]
 CAMERA, GAUSSIANS = 4, 12
+SEVERAL = jax.make_mesh((4,), ("cameras",), axis_types=(AxisType.Auto,))
 BY_CAMERA, SAME = PartitionSpec("cameras"), PartitionSpec()
 
 
@@ -39,8 +39,7 @@ def cameras():
 
 def over_devices(function, out=BY_CAMERA):
     """`function(gaussians, viewmats)` with the cameras over four devices."""
-    mesh = jax.make_mesh((4,), ("cameras",), axis_types=(AxisType.Auto,))
-    return jax.jit(jax.shard_map(function, mesh=mesh, in_specs=(SAME, BY_CAMERA), out_specs=out))
+    return jax.jit(jax.shard_map(function, mesh=SEVERAL, in_specs=(SAME, BY_CAMERA), out_specs=out))
 
 
 def renderer(backend, **options):
@@ -50,41 +49,39 @@ def renderer(backend, **options):
         image, alphas, info = rasterizer.rasterization(
             **gaussians, viewmats=viewmats, Ks=Ks, width=24, height=16, **how
         )
-        return [image, alphas] + [info[name] for name in ("normals", "median_depths") if name in info]
+        return [image, alphas] + [info[name] for name in ("median_depths",) if name in info]
 
     return rendered
 
 
-EVERYTHING = {
-    "sh_degree": 1,
-    "render_mode": "RGB+ED",
-    "depth_mode": "plane",
-    "rasterize_mode": "antialiased",
-    "return_normals": True,
-    "return_median_depth": True,
-}
+OPTIONS = {"sh_degree": 1, "render_mode": "RGB+ED", "depth_mode": "plane", "return_median_depth": True}
+
+LONG = [pytest.param(backend, marks=pytest.mark.long) for backend in ("reference", "xla")]
 
 
-LONG = [pytest.param(backend, scene(sh=4), EVERYTHING, marks=pytest.mark.long) for backend in ("reference", "xla")]
-CASES = [(backend, scene(), {}) for backend in BACKENDS if backend != "native"]
-CASES += [("native", scene(sh=4), EVERYTHING), *LONG]
-
-
-@pytest.mark.parametrize(("backend", "gaussians", "options"), CASES)
-def test_images_and_gradients_are_those_of_one_device(backend, gaussians, options):
-    rendered, viewmats = renderer(backend, **options), cameras()[0]
-
-    def loss(gaussians, viewmats):
-        images = rendered(gaussians, viewmats)
-        return sum(jnp.mean(part**2) for part in images), images
+def images_and_gradients(backend, mesh=None):
+    """Colours, depths and medians, and their gradients: of one device, or of the devices of a mesh."""
+    rendered = renderer(backend, **OPTIONS)
 
     def mean_loss(gaussians, viewmats):
-        of_device, images = loss(gaussians, viewmats)
-        return jax.lax.pmean(of_device, "cameras"), images
+        images = rendered(gaussians, viewmats)
+        of_device = sum(jnp.mean(part**2) for part in images)
+        return of_device if mesh is None else jax.lax.pmean(of_device, "cameras"), images
 
-    expected, expected_images = jax.jit(jax.grad(loss, has_aux=True))(gaussians, viewmats)
-    on_devices = over_devices(jax.grad(mean_loss, has_aux=True), out=(SAME, BY_CAMERA))
-    gradient, images = on_devices(gaussians, viewmats)
+    differentiated = jax.grad(mean_loss, has_aux=True)
+    run = jax.jit(differentiated) if mesh is None else over_devices(differentiated, out=(SAME, BY_CAMERA))
+    return run(scene(sh=4), cameras()[0])
+
+
+@pytest.fixture(scope="module")
+def of_one_device():
+    return images_and_gradients("native")
+
+
+@pytest.mark.parametrize("backend", ["native", "pallas", *LONG])
+def test_images_and_gradients_are_those_of_one_device(of_one_device, backend):
+    expected, expected_images = of_one_device
+    gradient, images = images_and_gradients(backend, SEVERAL)
     assert_close(images, expected_images)
     assert_close(gradient, expected, kind="gradient")
 

@@ -86,18 +86,6 @@ def test_rays_without_a_hit_leave_the_world(camera, view):
     assert blocked.mean() < 3e-3  # a grazing ray in a thousand stays undecided
 
 
-def test_the_normals_of_a_view_are_those_of_its_depth(camera, view):
-    points = np.asarray(unproject(jnp.asarray(view.depth), camera), np.float64)
-    across = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
-    length = np.linalg.norm(across, axis=-1, keepdims=True)
-    inner = view.labels[1:-1, 1:-1]
-    around = [view.labels[1 + i : 47 + i, 1 + j : 55 + j] for i, j in ((0, 1), (0, -1), (1, 0), (-1, 0))]
-    same = np.all([a == inner for a in around], axis=0) & (inner > 0)
-    cosine = np.sum(across / np.where(length > 0, length, 1) * view.normals[1:-1, 1:-1], axis=-1)[same]
-    assert np.median(cosine) > 0.999
-    assert np.mean(cosine > 0.97) > 0.85  # the rest lies on edges and where a pixel spans much of a curve
-
-
 def test_every_hit_on_a_face_has_its_normal():
     x, y = np.meshgrid(np.linspace(-0.1, 0.05, 40), np.linspace(-0.05, 0.1, 40))
     above = (BOX_TOP + np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1)).astype(np.float32)
@@ -111,20 +99,13 @@ def test_every_hit_on_a_face_has_its_normal():
 def test_labels_name_what_is_hit(view, world_points):
     assert set(np.unique(view.labels)) == {0, 1, 2, 3, 4, 5, 255}
     np.testing.assert_array_equal(view.labels == 0, view.depth == 0)
+    assert view.colors.min() >= 0 and view.colors.max() <= 1 + 1e-5
     on_table = world_points[view.labels == solids.GROUND_LABEL]
     assert np.all(on_table[:, 2] < 1e-4)
     assert np.all(np.linalg.norm(on_table[:, :2], axis=1) < solids.TABLE_RADIUS + 1e-4)
 
 
-def test_the_sky_is_white_and_colours_are_colours(view):
-    sky = view.labels == 0
-    well_inside = sky[1:-1, 1:-1] & sky[2:, 1:-1] & sky[:-2, 1:-1] & sky[1:-1, 2:] & sky[1:-1, :-2]
-    assert well_inside.any()
-    np.testing.assert_allclose(view.colors[1:-1, 1:-1][well_inside], 1.0, atol=1e-5)
-    assert view.colors.min() >= 0
-    assert view.colors.max() <= 1 + 1e-5
-
-
+@pytest.mark.long
 def test_a_pixel_shows_the_mean_light_of_its_area(camera, view):
     """One sample a pixel of a camera of twice the resolution, averaged in linear light, is two samples a side."""
     K = camera.K * jnp.array([[2.0], [2.0], [1.0]], jnp.float32)
@@ -144,25 +125,13 @@ def test_the_sun_casts_shadows():
     np.testing.assert_allclose(jax.vmap(solids.sun_visibility)(points), [0.0, 1.0], atol=1e-3)
 
 
-def test_no_patch_is_flat():
-    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 200), np.linspace(-1.0, 1.0, 200))
-    table = np.stack([x, y, np.zeros_like(x)], axis=-1).astype(np.float32)
-    albedo = np.asarray(jax.jit(jax.vmap(jax.vmap(solids.albedo)))(table))
-    patches = albedo.reshape(10, 20, 10, 20, 3).std(axis=(1, 3)).max(axis=-1)  # 0.2 x 0.2 units
-    assert patches.min() > 0.02
-    assert albedo.min() > 0
-    assert albedo.max() < 1
-
-
 def test_a_point_is_visible_where_the_depth_map_shows_it(camera, view, world_points):
     hit = view.depth > 0
-    rows, columns = np.nonzero(hit)
     facing = -np.sum(view.normals * np.asarray(unproject(jnp.ones(hit.shape, jnp.float32), camera)), axis=-1)[hit] > 0.2
     visible_all = jax.jit(jax.vmap(solids.visible, in_axes=(0, None)))
     surface_points = world_points[hit].astype(np.float32)
-    assert (
-        np.asarray(visible_all(surface_points, camera))[facing].mean() > 0.99
-    )  # but for rays that graze another solid on their way
+    # But for rays that graze another solid on their way.
+    assert np.asarray(visible_all(surface_points, camera))[facing].mean() > 0.99
     eye = np.asarray(center(camera))
     behind = surface_points + np.float32(0.05) * (surface_points - eye) / np.linalg.norm(
         surface_points - eye, axis=1, keepdims=True
@@ -170,7 +139,6 @@ def test_a_point_is_visible_where_the_depth_map_shows_it(camera, view, world_poi
     assert not np.asarray(visible_all(behind, camera)).any()
     outside = eye + 3 * (eye - surface_points)
     assert not np.asarray(visible_all(outside.astype(np.float32), camera)).any()
-    assert len(rows) == len(columns) == len(surface_points)
 
 
 def test_cameras_look_at_the_solids_from_all_sides():
@@ -218,25 +186,10 @@ def test_samples_are_spread_evenly_and_exactly_on_the_surface(surface):
     points, normals, on_table = true_surface.sample_points(surface, 5_000, 20_000, seed=0)
     assert np.abs(SDF(points)).max() < 1e-4
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
-    table, up, solids = points[on_table], normals[on_table], points[~on_table]
-    assert 4_900 < len(solids) <= 5_000
-    assert np.mean(solids[:, 2] > 0.02) > 0.9
-    open_table = np.linalg.norm(table[:, :2], axis=1) > 0.9
-    np.testing.assert_allclose(table[open_table, 2], 0, atol=1e-5)
-    np.testing.assert_allclose(up[open_table & (table[:, 0] < 1.2)][:, 2].min(), 1.0, atol=1e-4)
-    inner, outer = (
-        np.mean((np.hypot(*table[:, :2].T) > r) & (np.hypot(*table[:, :2].T) < r + 0.2)) for r in (1.0, 1.3)
-    )
+    table, solid_points = points[on_table], points[~on_table]
+    assert 4_900 < len(solid_points) <= 5_000
+    assert np.mean(solid_points[:, 2] > 0.02) > 0.9
+    radii = np.linalg.norm(table[:, :2], axis=1)
+    np.testing.assert_allclose(table[radii > 0.9, 2], 0, atol=1e-5)
+    inner, outer = (np.mean((radii > r) & (radii < r + 0.2)) for r in (1.0, 1.3))
     np.testing.assert_allclose(outer / inner, (1.5**2 - 1.3**2) / (1.2**2 - 1.0**2), rtol=0.1)
-
-
-@pytest.mark.parametrize("count", [1, 6, 7, 8, 20])
-def test_blocks_are_of_one_shape_and_make_no_difference(count):
-    points, shapes = np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32), set()
-
-    def doubled(block):
-        shapes.add(block.shape)
-        return 2 * block
-
-    np.testing.assert_array_equal(solids.in_blocks(doubled, points, 7), 2 * points)
-    assert shapes == {(7, 3)}

@@ -14,14 +14,16 @@ from tolerances import assert_close
 from gsjax import gaussians as free_gaussians
 from gsjax import rendering
 from gsjax.binding import bound as bound_gaussians
-from gsjax.binding.bound import LAYOUTS, bind, covariances, means, opacities, to_gaussians, to_mesh
-from gsjax.binding.editing import rebound, with_vertices
-from gsjax.errors import InputError
+from gsjax.binding.bound import LAYOUTS, bind, to_gaussians, to_mesh
+from gsjax.binding.editing import with_vertices
 from gsjax.gaussians import SH_C0
-from gsjax.scene.meshes import Mesh, face_normals
+from gsjax.scene.meshes import Mesh
 from gsjax.training.initialize import DEAD_LOGIT
 
 THICKNESS = 0.003
+means, covariances, opacities = map(
+    jax.jit, (bound_gaussians.means, bound_gaussians.covariances, bound_gaussians.opacities)
+)
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 3**0.5 / 2, 0]])  # equilateral, edge 1, normal +z
 
 
@@ -47,30 +49,14 @@ def trained(mesh, per_triangle=4, seed=1):
 # --- layouts
 
 
-@pytest.mark.parametrize("per_triangle", LAYOUTS)
-def test_barycentric_coordinates_sum_to_one_and_are_symmetric(per_triangle):
-    places, radius = LAYOUTS[per_triangle]
-    assert places.shape == (per_triangle, 3)
-    np.testing.assert_allclose(places.sum(axis=1), 1, rtol=1e-15)
-    assert np.all(places > 0)
-    assert {tuple(np.round(p, 12)) for p in places} == {tuple(np.round(p, 12)) for p in np.roll(places, 1, axis=1)}
-    assert radius == pytest.approx({1: 0.28868, 3: 0.18301, 4: 0.14434, 6: 0.13397}[per_triangle], abs=5e-6)
-
-
-@pytest.mark.parametrize("per_triangle", [1, 6])
-def test_means_lie_inside_their_triangle_and_the_thin_axis_is_its_normal(per_triangle):
-    mesh = crumpled()
-    bound = trained(mesh, per_triangle)
-    assert bound.per_triangle == per_triangle
-    corners = mesh.vertices.astype(np.float64)[np.repeat(mesh.faces, per_triangle, axis=0)]
-    places = np.linalg.solve(np.moveaxis(corners, 1, 2), np.asarray(means(bound), np.float64)[..., None])[..., 0]
-    np.testing.assert_allclose(places.sum(axis=1), 1, rtol=1e-4)
-    assert places.min() > 0.1
-    variances, axes = np.linalg.eigh(np.asarray(covariances(bound), np.float64))
-    normals = np.repeat(face_normals(mesh), per_triangle, axis=0)
-    np.testing.assert_allclose(np.abs(np.sum(axes[..., 0] * normals, axis=-1)), 1, atol=1e-5)
-    np.testing.assert_allclose(np.sqrt(variances[:, 0]), THICKNESS, rtol=0.02)  # of 1e-3 of the largest entry
-    np.testing.assert_allclose(np.sqrt(variances[:, 1:]), np.sort(np.exp(bound.log_scales), axis=1), rtol=1e-3)
+def test_barycentric_coordinates_sum_to_one_and_are_symmetric():
+    radii = {1: 0.28868, 3: 0.18301, 4: 0.14434, 6: 0.13397}
+    for per_triangle, (places, radius) in LAYOUTS.items():
+        assert places.shape == (per_triangle, 3) and np.all(places > 0)
+        np.testing.assert_allclose(places.sum(axis=1), 1, rtol=1e-15)
+        turned = np.roll(places, 1, axis=1)
+        assert {tuple(np.round(p, 12)) for p in places} == {tuple(np.round(p, 12)) for p in turned}
+        assert radius == pytest.approx(radii[per_triangle], abs=5e-6)
 
 
 def test_one_equilateral_triangle_has_its_closed_form():
@@ -97,11 +83,6 @@ def test_colors_are_the_barycentric_mean_and_come_back_to_the_vertices():
     # Weights 1/2, 1/4, 1/4 of (1/2, 1/4, 1/4), (1/4, 1/2, 1/4), (1/4, 1/4, 1/2).
     share = np.rint(255 * np.array([0.375, 0.3125, 0.3125]))
     np.testing.assert_array_equal(to_mesh(bound).colors, [np.roll(share, k) for k in range(3)])
-    one_color = mesh_of(crumpled().vertices, crumpled().faces, np.tile([10, 200, 77], (9, 1)))
-    again = to_mesh(bind(one_color, per_triangle=6, thickness=THICKNESS))
-    used = np.unique(one_color.faces)
-    np.testing.assert_array_equal(again.colors[used], one_color.colors[used])
-    np.testing.assert_array_equal(again.faces, one_color.faces)
 
 
 # --- moving
@@ -134,23 +115,6 @@ def test_a_triangle_that_collapses_in_an_edit_keeps_the_shape_of_its_gaussians()
     before = trained(mesh_of(TRIANGLE, [[0, 1, 2]]))
     after = with_vertices(before, TRIANGLE * [1, 0, 1])
     assert_close(jnp.sort(after.log_scales), jnp.sort(before.log_scales))
-
-
-def test_mesh_and_gaussians_as_they_are_written_can_be_bound_again():
-    before = replace(trained(crumpled()), pixel_filter="classic")
-    mesh, gaussians = to_mesh(before), to_gaussians(before)
-    scene = rebound(mesh, gaussians)
-    assert scene.free is None
-    after = scene.bound
-    assert after.thickness == pytest.approx(THICKNESS) and after.pixel_filter == "classic"
-    assert_close(means(after), means(before))
-    assert_close(covariances(after), covariances(before))
-    for name in ("logit_opacities", "sh_dc", "sh_rest", "faces"):
-        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
-    with pytest.raises(InputError, match="32 Gaussians are not 1, 3, 4 or 6 to each of 7 triangles"):
-        rebound(mesh_of(mesh.vertices, mesh.faces[:7]), gaussians)
-    with pytest.raises(InputError, match="one is .* units from its place there"):
-        rebound(mesh_of(mesh.vertices, mesh.faces[::-1]), gaussians)
 
 
 # --- gradients
@@ -205,8 +169,7 @@ def with_ninth(corners):
 def test_a_collapsed_triangle_is_finite_is_not_drawn_and_leaves_the_others_alone(corners):
     unseen, collapsed = with_ninth(BEHIND), with_ninth(corners)
     values = means(collapsed), covariances(collapsed), opacities(collapsed), to_gaussians(collapsed)
-    for leaf in jax.tree.leaves((values, gradient(collapsed))):
-        assert bool(jnp.isfinite(leaf).all())
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((values, gradient(collapsed))))
     if corners != HOPELESS["tiny"]:
         assert np.all(np.asarray(opacities(collapsed))[-4:] == 0)
         assert np.all(to_gaussians(collapsed).logit_opacities[-4:] == DEAD_LOGIT)
@@ -230,18 +193,6 @@ def brightness(bound):
     return jnp.sum(render_bound(bound).colors * jnp.asarray(weights, jnp.float32))
 
 
-def test_duplicate_faces_share_their_gradient():
-    def shape(bound):
-        return jnp.sum(covariances(bound)[:, 0, 1] + means(bound)[:, 0])
-
-    once, twice = (
-        gradient(bind(mesh_of(TRIANGLE, [[0, 2, 1]] * count), per_triangle=1, thickness=THICKNESS), shape)
-        for count in (1, 2)
-    )
-    assert float(jnp.abs(once.vertices).max()) > 0
-    assert_close(twice.vertices, 2 * once.vertices)
-
-
 def test_a_rotation_of_zero_is_none_and_has_no_gradient():
     bound = trained(crumpled())
     zero = replace(bound, rotations=bound.rotations.at[0].set(0.0))
@@ -257,7 +208,7 @@ def test_a_rotation_of_zero_is_none_and_has_no_gradient():
 def test_the_same_picture_is_drawn_from_the_mesh_and_from_the_file():
     bound = with_ninth(BEHIND)
     gaussians = jax.tree.map(jnp.asarray, to_gaussians(bound))
-    assert int(rendering.needed_capacity(bound, CAMERA)) <= 4096
+    assert int(jax.jit(rendering.needed_capacity)(bound, CAMERA)) <= 4096
     assert float(render_bound(bound).alphas.max()) > 0.5
     assert_close(render_bound(bound).colors, render_bound(gaussians).colors)
     rebuilt = free_gaussians.rotation_matrices(gaussians.quats) * free_gaussians.scales(gaussians)[:, None]

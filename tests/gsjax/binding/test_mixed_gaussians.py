@@ -10,7 +10,7 @@ from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 from gsjax import rendering
-from gsjax.binding.bound import bind, means, to_gaussians, to_mesh
+from gsjax.binding.bound import bind, covariances, means, to_gaussians, to_mesh
 from gsjax.binding.editing import rebound, with_vertices
 from gsjax.binding.mixed_gaussians import all_gaussians, with_free
 from gsjax.errors import InputError
@@ -21,14 +21,14 @@ CAMERA = camera_at(size=(24, 24))
 WEIGHTS = np.random.default_rng(5).uniform(size=(24, 24, 3)).astype(np.float32)
 
 
-def tetrahedron(depth=4.0):
-    corners = np.array([[0, 0, -1.0], [1, 0, 0.6], [-0.6, 0.9, 0.5], [-0.5, -0.9, 0.6]]) + [0, 0, depth]
+def tetrahedron():
+    corners = np.array([[0, 0, -1.0], [1, 0, 0.6], [-0.6, 0.9, 0.5], [-0.5, -0.9, 0.6]]) + [0, 0, 4.0]
     faces = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]])
     return Mesh(corners.astype(np.float32), faces.astype(np.int32), np.full((4, 3), 90, np.uint8))
 
 
-def bound_at(depth=4.0, per_triangle=3):
-    return bind(tetrahedron(depth), per_triangle=per_triangle, thickness=0.004, sh_degree=1, opacity=0.8)
+def bound_at():
+    return bind(tetrahedron(), per_triangle=3, thickness=0.004, sh_degree=1, opacity=0.8)
 
 
 def on_a_triangle():
@@ -78,26 +78,20 @@ def test_a_scene_looks_and_pulls_like_the_same_gaussians_without_a_mesh(free):
 
 def test_every_gaussian_may_have_an_sh_degree_of_its_own():
     scene, degrees = rendering.drawable(FREE["some"]), jnp.array([0, 1, 0], jnp.int32)
-    flat, full = (rendering.colors(scene, CAMERA, jnp.int32(degree)) for degree in (0, 1))
+    colors = jax.jit(rendering.colors)
+    flat, full = (colors(scene, CAMERA, jnp.int32(degree)) for degree in (0, 1))
     assert float(jnp.abs(flat - full).min(axis=1).max()) > 1e-3
-    np.testing.assert_array_equal(rendering.colors(scene, CAMERA, degrees), jnp.where(degrees[:, None] > 0, full, flat))
+    np.testing.assert_array_equal(colors(scene, CAMERA, degrees), jnp.where(degrees[:, None] > 0, full, flat))
 
 
-def test_without_free_gaussians_nothing_of_them_is_in_the_program():
+def test_without_free_gaussians_they_are_those_of_the_mesh():
     bound = bound_at()
     nobody = with_free(bound, take(FREE["some"], slice(0)))
     assert nobody.free is None and nobody.num_gaussians == bound.num_gaussians
-
-    def program(gaussians):
-        return str(
-            jax.make_jaxpr(lambda g: rendering.render(g, CAMERA, capacity=4096, background=jnp.zeros(3)))(gaussians)
-        )
-
-    assert program(nobody) == program(bound) != program(with_free(bound, FREE["some"]))
     jax.tree.map(np.testing.assert_array_equal, all_gaussians(nobody), to_gaussians(bound))
 
 
-@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("degree", [0, 3])
 def test_free_gaussians_take_on_the_harmonics_and_the_filter_of_the_bound_ones(degree):
     original = cloud(3, sh_degree=degree)
     free = with_free(bound_at(), original).free
@@ -108,14 +102,16 @@ def test_free_gaussians_take_on_the_harmonics_and_the_filter_of_the_bound_ones(d
     assert not np.any(free.sh_rest[:, num_common:])
 
 
-@pytest.mark.parametrize("per_triangle", [1, 3])
-def test_mesh_and_gaussians_as_they_are_written_are_the_scene_again_and_can_be_edited(per_triangle):
-    before = with_free(bound_at(per_triangle=per_triangle), on_a_triangle())
+def test_mesh_and_gaussians_as_they_are_written_are_the_scene_again_and_can_be_edited():
+    before = with_free(bound_at(), on_a_triangle())
     mesh = to_mesh(before.bound)
     after = rebound(mesh, all_gaussians(before))
-    assert (after.bound.per_triangle, after.num_free) == (per_triangle, 3)
+    assert (after.bound.per_triangle, after.num_free) == (3, 3)
     jax.tree.map(np.testing.assert_array_equal, after.free, before.free)
-    assert_close(means(after.bound), means(before.bound))
+    assert after.bound.thickness == pytest.approx(0.004) and after.bound.pixel_filter == "mip"
+    assert_close([of(after.bound) for of in (means, covariances)], [of(before.bound) for of in (means, covariances)])
+    for name in ("logit_opacities", "sh_dc", "sh_rest", "faces"):
+        np.testing.assert_array_equal(getattr(after.bound, name), getattr(before.bound, name))
     moved = replace(after, bound=with_vertices(after.bound, mesh.vertices + [1.0, 0, 0]))
     gaussians = all_gaussians(moved)
     bound_rows = after.bound.num_gaussians
@@ -123,3 +119,5 @@ def test_mesh_and_gaussians_as_they_are_written_are_the_scene_again_and_can_be_e
     np.testing.assert_array_equal(gaussians.means[bound_rows:], before.free.means)
     with pytest.raises(InputError, match="Gaussians are not 1, 3, 4 or 6 to each of 4 triangles"):
         rebound(mesh, take(all_gaussians(before), slice(1, None)))
+    with pytest.raises(InputError, match="one is .* units from its place there"):
+        rebound(replace(mesh, faces=mesh.faces[::-1]), to_gaussians(before.bound))

@@ -1,14 +1,11 @@
 """What tells the axes of maps: side walls above all."""
 
-import itertools
-
 import numpy as np
 import pytest
 
 from gsjax.normals.axes import OTHER_SIGNS, axes_verdict, detect_axes, facing_votes, written_axes
 
 K = np.array([[60.0, 0, 50], [0, 60, 40], [0, 0, 1]])
-ALL = list(itertools.product([1, -1], repeat=3))
 
 
 def corridor(width=100, height=80, walls=True):
@@ -37,7 +34,7 @@ def test_a_corridor_confirms_its_axes():
     assert axes_verdict(votes).startswith("confirmed")
 
 
-@pytest.mark.parametrize("signs", ALL[1:])
+@pytest.mark.parametrize("signs", [(1, -1, -1), (-1, 1, 1), (-1, -1, -1)])
 def test_a_corridor_names_the_mirroring_that_it_was_written_with(signs):
     votes = sum(facing_votes(noisy(corridor(), 10, seed) * np.float32(signs), K) for seed in range(4))
     verdict = axes_verdict(votes)

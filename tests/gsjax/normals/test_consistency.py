@@ -5,7 +5,6 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from tolerances import assert_close
 
-from gsjax.normals import consistency
 from gsjax.normals.consistency import LONGEST, View, full_size, judge_maps, share_compared, stride_of, thinned_view
 from gsjax.normals.sparse_depth import sparse_depth
 from gsjax.scene.cameras import look_at
@@ -168,7 +167,7 @@ def test_photos_are_compared_as_often_as_their_normals_agree(apart, share):
     assert_close(share_compared(apart), share)
 
 
-@pytest.mark.parametrize("size", [(300, 200), (257, 129), (100, 128), (128, 64)])
+@pytest.mark.parametrize("size", [(257, 129), (100, 128)])
 def test_a_view_at_its_working_size_sees_the_same_places(size):
     width, height = size
     large = K * np.array([[width / WIDTH], [height / HEIGHT], [1]])
@@ -197,13 +196,3 @@ def test_depth_between_points_of_a_plane_is_the_planes_and_at_an_edge_there_is_n
     off = np.minimum(np.abs(depth / plane - 1), np.abs(depth / (2 * plane) - 1))[depth > 0]
     assert (depth[:, 31:33] > 0).mean() < 0.5 and (depth[:, :26] > 0).mean() > 0.8 and np.quantile(off, 0.97) < 0.02
     assert not sparse_depth(rays[y, x, :2][:10], plane[y, x][:10], K, (HEIGHT, WIDTH)).any()
-
-
-@pytest.mark.parametrize("degrees", [10.0, 20.0])
-def test_a_normal_amid_others_is_off_by_their_distance_over_the_root_of_two(degrees):
-    """Two neighbours lean to either side: their median is the normal itself, so their distance alone tells."""
-    angle = np.radians(degrees)
-    own = np.array([[0.0, 0, 1]])
-    others = np.array([[[np.sin(side), 0, np.cos(side)]] for side in (-angle, angle)])
-    error = consistency._error(own, others, np.ones((2, 1), bool), np.full((2, 1), degrees))
-    np.testing.assert_allclose(error, degrees / 1.41421356, rtol=1e-6)

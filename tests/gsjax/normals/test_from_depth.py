@@ -1,5 +1,3 @@
-import itertools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,8 +42,7 @@ def raw(depth, camera=CAMERA):
     return np.asarray(depth_normals(jnp.asarray(depth, jnp.float32), camera))
 
 
-@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
-@pytest.mark.parametrize("normal", [(0, 0, -1), (0.4, -0.3, -1), (-0.1, -1, -0.7)])
+@pytest.mark.parametrize(("normal", "scale"), [((0, 0, -1), 1e-4), ((0.4, -0.3, -1), 1.0), ((-0.1, -1, -0.7), 1e4)])
 @pytest.mark.parametrize("estimate", [raw, smoothed, reduced])
 def test_a_plane_gives_its_normal_everywhere_at_any_scale(estimate, normal, scale):
     depth = plane_depth(unit(normal), scale)
@@ -56,18 +53,6 @@ def test_a_plane_gives_its_normal_everywhere_at_any_scale(estimate, normal, scal
     # Float32 depth over footprints of a hundredth of it; blocks that the border cuts are not seen at their centres.
     assert degrees_between(normals[inner], unit(normal)).max() < (0.6 if estimate is reduced else 0.2)
     assert np.all(normals[~inner] == 0)
-
-
-def test_a_sphere_gives_radial_normals():
-    center = np.array([0.1, -0.05, 3.0])
-    b, a = RAYS @ center, np.sum(RAYS**2, axis=-1)
-    discriminant = b**2 - a * (center @ center - 0.7**2)
-    depth = np.where(discriminant > 0, (b - np.sqrt(np.maximum(discriminant, 0))) / a, 0)
-    outward = (RAYS * depth[..., None] - center) / 0.7
-    facing = (depth > 0) & (-np.sum(outward * RAYS / np.sqrt(a)[..., None], axis=-1) > 0.5)
-    assert degrees_between(raw(depth), outward)[facing].max() < 1.5  # a pixel spans 2 degrees of it
-    error = degrees_between(smoothed(depth), outward)[facing]
-    assert error.mean() < 8  # windows of 4 pixels across on a disc of 32
 
 
 def test_next_to_a_hole_the_difference_is_one_sided():
@@ -95,14 +80,11 @@ def test_the_gradient_is_finite_at_holes_and_right_elsewhere():
         depth[rng.random(depth.shape) < 0.1] = 0
         weights = rng.standard_normal((36, 48, 3))
 
-        @jax.jit
-        def total(depth):
-            return jnp.sum(weights * depth_normals(depth, camera))
-
-        gradient = np.asarray(jax.grad(total)(depth))
+        total = jax.jit(jax.value_and_grad(lambda depth: jnp.sum(weights * depth_normals(depth, camera))))
+        gradient = np.asarray(total(depth)[1])
         assert np.all(np.isfinite(gradient))
         direction = np.where(depth > 0, rng.standard_normal(depth.shape), 0)
-        expected = (total(depth + 1e-7 * direction) - total(depth - 1e-7 * direction)) / 2e-7
+        expected = (total(depth + 1e-7 * direction)[0] - total(depth - 1e-7 * direction)[0]) / 2e-7
         np.testing.assert_allclose(np.sum(gradient * direction), expected, rtol=1e-5)
 
 
@@ -119,9 +101,8 @@ def scene_view():
     return camera, jax.tree.map(np.asarray, solids.trace(camera, samples=1))
 
 
-# Measured: at 1 % 36 to 15 degrees (everywhere) and 33 to 18 (objects), at 0.3 % 14 to 7 and 14 to 13.
-@pytest.mark.parametrize(("amplitude", "anywhere", "on_objects"), [(0.01, 2.2, 1.6), (0.003, 1.6, 1.0)])
-def test_smoothing_beats_raw_normals_of_a_noisy_depth(scene_view, amplitude, anywhere, on_objects):
+def test_smoothing_beats_raw_normals_of_a_noisy_depth(scene_view):
+    amplitude, anywhere, on_objects = 0.01, 2.2, 1.6  # Measured: 36 to 15 degrees everywhere, 33 to 18 on objects.
     camera, view = scene_view
     depth = view.depth * (1 + amplitude * splat_like_noise(view.depth.shape, 0))
     maps = [raw(depth, camera), smoothed(depth, camera)]
@@ -154,17 +135,11 @@ def test_windows_follow_the_size_of_the_bumps(scale):
         assert degrees_between(smoothed(depth, camera), normal).mean() > 0.6 * before, "the smallest windows"
 
 
-@pytest.mark.parametrize("amplitude", [0.0, 0.003, 0.01])
+@pytest.mark.parametrize("amplitude", [0.0, 0.01])
 def test_windows_stay_small_where_there_is_little_noise_or_shapes_are_small(scene_view, amplitude):
     camera, view = scene_view
     depth = view.depth * (1 + amplitude * splat_like_noise(view.depth.shape, 0))
     assert chosen_reduction([view_of(depth, camera)]) == 1
-
-
-def test_the_edge_of_larger_windows_is_as_sharp_in_blocks_of_theirs():
-    depth, truth = roof(0.0)
-    error = degrees_between(smoothed(depth, reduction=2), truth)
-    assert error[:, np.abs(np.arange(48) - 23.5) > 4].max() < 1
 
 
 def roof(noise):
@@ -178,15 +153,15 @@ def roof(noise):
 
 def test_an_edge_stays_sharp_and_where_it_is():
     depth, truth = roof(0.0)
-    error = degrees_between(smoothed(depth), truth)
-    assert error[:, np.abs(np.arange(48) - 23.5) > 2].max() < 1
+    away = np.abs(np.arange(48) - 23.5)
+    assert degrees_between(smoothed(depth), truth)[:, away > 2].max() < 1
+    assert degrees_between(smoothed(depth, reduction=2), truth)[:, away > 4].max() < 1, "larger windows"
     depth, truth = roof(0.004)
     normals = smoothed(depth)
     # Column by which the noisy map says that the left side ends.
     turns = np.sum(normals[:, 12:36, 0] < 0, axis=1) + 12
     assert np.abs(turns - 24).mean() < 1.0
-    flanks = np.abs(np.arange(48) - 23.5) > 3
-    assert degrees_between(smoothed(depth), truth)[:, flanks].mean() < 0.5 * degrees_between(raw(depth), truth).mean()
+    assert degrees_between(normals, truth)[:, away > 3].mean() < 0.5 * degrees_between(raw(depth), truth).mean()
 
 
 def test_mixed_pixels_at_a_step_have_no_normal_and_the_rest_keeps_its_own():
@@ -223,7 +198,7 @@ def references(scene_view):
     return [normals, normals[20:90, 10:150]]
 
 
-@pytest.mark.parametrize("signs", list(itertools.product([1, -1], repeat=3)))
+@pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, -1), (-1, 1, -1)])
 def test_every_mirroring_is_found_and_undone(references, signs):
     rng = np.random.default_rng(0)
     foreign = []
@@ -249,18 +224,6 @@ def test_axes_that_cannot_be_told_have_no_margin(references):
     assert (score, margin) == (1, 0)
     _, score, margin = detect_axes([np.zeros_like(references[0])], references[:1])
     assert (score, margin) == (0, 0)
-
-
-def test_score_and_margin_are_mean_cosines(references):
-    reference = references[0][::4, ::4]  # few enough pixels for all to be compared
-    foreign = np.roll(reference, 10, axis=1)
-    _, score, margin = detect_axes([foreign], [reference])
-    both = np.any(foreign != 0, axis=-1) & np.any(reference != 0, axis=-1)
-    means = [
-        abs(np.sum(foreign * s * reference, axis=-1)[both].mean()) for s in itertools.product([1, -1], [1, -1], [1])
-    ]
-    best, second = sorted(means)[:-3:-1]
-    np.testing.assert_allclose([score, margin], [best, best - second], atol=1e-5)
 
 
 def test_axes_have_names_and_anything_else_is_an_error():

@@ -1,17 +1,15 @@
+from functools import partial
 from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 from jax.test_util import check_grads
-from scipy.spatial.transform import Rotation
-from small_scenes import angles, camera_at, discs, moved, plane
+from small_scenes import angles, camera_at, plane
 from tolerances import assert_close
 
 from gsjax import rendering
-from gsjax.gaussians import Gaussians, rotation_matrices
 from gsjax.normals import sdf
 from gsjax.rendering import View
 from gsjax.scene import cameras
@@ -67,10 +65,9 @@ value_and_gradients = jax.jit(jax.value_and_grad(sdf.depth_sdf, argnums=(0, 1, 2
 
 
 @jax.jit
-def maps(gaussians, camera, depth=None):
+def maps(gaussians, camera):
     read = {"with_depth": True, "with_axes": True}
     view = rendering.render(gaussians, camera, capacity=8192, background=jnp.zeros(3, jnp.float32), **read)
-    view = view if depth is None else view._replace(depth=depth)
     estimates = {e.__name__: e(gaussians, view, camera) for e in ESTIMATORS}
     return view.alphas, estimates
 
@@ -86,7 +83,7 @@ ESTIMATORS = (sdf.sdf_gradient_map, sdf.pixel_depth_map, sdf.smallest_axis_map)
 # --- the estimate at one point
 
 
-@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.3, 0.2, -1.0), (-0.5, 0.4, -1.0)])
+@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (-0.5, 0.4, -1.0)])
 def test_on_a_plane_the_gradient_is_the_normal_over_its_cosine_with_the_ray(normal):
     normal = unit(normal)
     rays = rays_through(CORNERS.reshape(-1, 2))
@@ -104,25 +101,29 @@ def test_on_a_ball_the_gradient_is_radial():
     assert np.median(off) < 0.3 and off.max() < 1  # a pixel spans 5 degrees of the ball
 
 
-@pytest.mark.parametrize("distance", [-0.7, 0.0, 0.4])
-def test_the_estimate_is_the_distance_along_z_positive_in_front(distance):
-    normal = unit((0.3, 0.2, -1.0))
-    depth = plane_depth(normal)
-    point = in_world(RAYS[13, 20] * (depth[13, 20] - distance))
-    value, _ = value_and_gradients(point, jnp.asarray(depth, jnp.float32), CAMERA)
-    assert float(value) == pytest.approx(distance, abs=2e-5)
+def test_the_estimate_is_the_distance_along_z_positive_in_front():
+    depth = plane_depth(unit((0.3, 0.2, -1.0)))
+    for distance in (-0.7, 0.4):
+        point = in_world(RAYS[13, 20] * (depth[13, 20] - distance))
+        value, _ = value_and_gradients(point, jnp.asarray(depth, jnp.float32), CAMERA)
+        assert float(value) == pytest.approx(distance, abs=2e-5)
 
 
-@pytest.mark.parametrize(
-    "in_camera",
-    [(50.0, 0.0, 2.0), (0.0, -900.0, 0.1), (0.3, 0.2, 0.0), (0.3, 0.2, -3.0), (0.0, 0.0, 0.0), (1e-3, 0.0, 1e-9)],
-    ids=["beside", "far beside", "camera plane", "behind", "camera centre", "almost on the plane"],
-)
-def test_off_screen_and_behind_the_estimate_is_finite(in_camera):
+OFF_SCREEN = {
+    "beside": (50.0, 0.0, 2.0),
+    "far beside": (0.0, -900.0, 0.1),
+    "camera plane": (0.3, 0.2, 0.0),
+    "behind": (0.3, 0.2, -3.0),
+    "camera centre": (0.0, 0.0, 0.0),
+    "almost on the plane": (1e-3, 0.0, 1e-9),
+}
+
+
+def test_off_screen_and_behind_the_estimate_is_finite():
     depth = jnp.asarray(plane_depth(unit((0.3, 0.2, -1.0))), jnp.float32)
-    everything = value_and_gradients(in_world(np.array(in_camera)), depth, CAMERA)
-    for leaf in jax.tree.leaves(everything):
-        assert bool(jnp.isfinite(leaf).all())
+    for name, in_camera in OFF_SCREEN.items():
+        everything = value_and_gradients(in_world(np.array(in_camera)), depth, CAMERA)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(everything)), name
 
 
 # --- the maps
@@ -134,7 +135,7 @@ def interior(alphas, margin=6):
     return mask & (np.asarray(alphas) > 0.9)
 
 
-@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.3, 0.2, -1.0), (-0.5, 0.3, -1.0)])
+@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (-0.5, 0.3, -1.0)])
 def test_on_a_plane_of_gaussians_every_estimator_gives_the_normal_facing_the_camera(normal):
     alphas, estimates = maps(plane(unit(normal)), CAMERA)
     mask = interior(alphas) & np.any(estimates["pixel_depth_map"], -1)
@@ -145,20 +146,6 @@ def test_on_a_plane_of_gaussians_every_estimator_gives_the_normal_facing_the_cam
         assert off.max() < 45, name  # on the camera's side, everywhere
 
 
-def test_on_a_ball_of_gaussians_with_its_exact_depth_the_normals_are_those_of_the_ball():
-    k = np.arange(256) + 0.5
-    z, turn = 1 - 2 * k / 256, np.pi * (1 + 5**0.5) * k
-    normals = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], -1)
-    depth, expected, frontal = seen_ball()
-    alphas, estimates = maps(discs(BALL + RADIUS * normals, normals, 0.2), CAMERA, jnp.asarray(depth, jnp.float32))
-    mask = (np.asarray(alphas) > 0.9) & frontal
-    assert mask.sum() > 300
-    for name, bound in (("sdf_gradient_map", 8), ("pixel_depth_map", 0.3), ("smallest_axis_map", 10)):
-        off = angles(estimates[name][mask], expected[mask])
-        assert np.median(off) < bound, name  # a disc spans 8 degrees
-        assert off.max() < 2 * bound + 1, name
-
-
 def test_the_pixel_map_of_an_exact_plane_is_its_normal_and_nothing_at_the_border():
     normal = unit((0.3, 0.2, -1.0))
     normals = np.asarray(pixel_map(jnp.asarray(plane_depth(normal), jnp.float32), CAMERA))
@@ -167,7 +154,7 @@ def test_the_pixel_map_of_an_exact_plane_is_its_normal_and_nothing_at_the_border
         assert not border.any()
 
 
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_the_pixel_map_counts_at_every_scale_and_focal_length(scale):
     # Neighbouring pixels of a photo are a thousandth of the depth apart: short steps, but no short directions.
     camera = cameras.Camera(CAMERA.viewmat, CAMERA.K * jnp.asarray([[50.0], [50.0], [1.0]]), 40, 36)
@@ -226,44 +213,26 @@ def strays(monkeypatch):
     return in_world(rays * plane_depth(normal, rays)[:, None]), jnp.asarray(depth), TURN @ normal, directions
 
 
-def test_means_that_read_no_depth_have_no_direction(strays):
+def test_means_that_read_no_depth_have_no_direction_and_get_and_give_no_gradient(strays):
     means, depth, normal, directions = strays
-    vectors = np.asarray(jax.jit(directions)(means, depth))
-    np.testing.assert_array_equal(np.any(vectors != 0, axis=1), READS)
-    assert angles(vectors[READS], np.tile(normal, (READS.sum(), 1))).max() < 0.3
-
-
-def test_means_that_read_no_depth_get_and_give_no_gradient(strays):
-    means, depth, _, directions = strays
     towards = jnp.asarray(np.random.default_rng(0).normal(size=means.shape), jnp.float32)
-    gradient = jax.jit(jax.grad(lambda means, depth: jnp.sum(directions(means, depth) * towards), (0, 1)))
-    to_means, to_depth = (np.asarray(g) for g in gradient(means, depth))
-    np.testing.assert_array_equal(np.any(to_means != 0, axis=1), READS)
+
+    @jax.jit
+    @partial(jax.grad, argnums=(0, 1), has_aux=True)
+    def gradients_and_vectors(means, depth):
+        vectors = directions(means, depth)
+        return jnp.sum(vectors * towards), vectors
+
+    (to_means, to_depth), vectors = jax.tree.map(np.asarray, gradients_and_vectors(means, depth))
+    for rows in (vectors, to_means):
+        np.testing.assert_array_equal(np.any(rows != 0, axis=1), READS)
+    assert angles(vectors[READS], np.tile(normal, (READS.sum(), 1))).max() < 0.3
     low = np.floor(STRAY_PIXELS[READS] - 0.5).astype(int)
-    read = np.zeros((36, 40), bool)
+    is_read = np.zeros((36, 40), bool)
     for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        read[low[:, 1] + down, low[:, 0] + right] = True
-    np.testing.assert_array_equal(to_depth != 0, read)
+        is_read[low[:, 1] + down, low[:, 0] + right] = True
+    np.testing.assert_array_equal(to_depth != 0, is_read)
     assert np.isfinite(to_means).all() and np.isfinite(to_depth).all()
-
-
-def test_the_maps_do_not_depend_on_where_the_world_is():
-    gaussians = plane(unit((0.3, 0.2, -1.0)))
-    turn, shift = Rotation.from_rotvec([0.4, -0.8, 0.3]), np.array([3.0, -2.0, 5.0])
-    quats = np.asarray(gaussians.quats)[:, [1, 2, 3, 0]]
-    elsewhere = Gaussians(
-        **{
-            **gaussians.__dict__,
-            "means": jnp.asarray(np.asarray(gaussians.means, np.float64) @ turn.as_matrix().T + shift, jnp.float32),
-            "quats": jnp.asarray((turn * Rotation.from_quat(quats)).as_quat()[:, [3, 0, 1, 2]], jnp.float32),
-        }
-    )
-    alphas, here = maps(gaussians, CAMERA)
-    _, there = maps(elsewhere, moved(CAMERA, turn.as_matrix(), shift))
-    mask = interior(alphas)
-    for name in here:
-        off = angles(here[name][mask], there[name][mask])
-        assert np.quantile(off, 0.98) < 0.3, name  # a mean on the kink of the bilinear read may fall to either side
 
 
 # --- the loss
@@ -341,42 +310,3 @@ def test_what_has_no_direction_does_not_count(directions, normals):
     assert float(value) == 0 and not np.any(gradient), "no valid pixel"
     value, _ = misaligned([*directions, [1.0, 1.0, 0]], [*normals, [0, 1.0, 0]])
     assert float(value) == pytest.approx(1 - 0.5**0.5, abs=1e-6)
-
-
-def tilted(tilt) -> Gaussians:
-    """A plane of Gaussians turned about (0, 0, 4) by the rotation (1, tilt / 2) as a whole."""
-    gaussians = plane((0.0, 0.0, -1.0), per_side=12, spacing=0.45)
-    w, x, y = jnp.float32(1), 0.5 * tilt[0], 0.5 * tilt[1]
-    a, b, c, d = gaussians.quats.T
-    quats = jnp.stack([w * a - x * b - y * c, w * b + x * a + y * d, w * c - x * d + y * a, w * d + x * c - y * b], -1)
-    turn = rotation_matrices(jnp.stack([w, x, y, jnp.float32(0)]))
-    pivot = jnp.asarray([[0.0, 0.0, 4.0]])
-    means = jnp.sum((gaussians.means - pivot)[:, None, :] * turn[None], -1) + pivot
-    return Gaussians(**{**gaussians.__dict__, "means": means, "quats": quats})
-
-
-def test_minimising_it_turns_a_plane_to_its_normal_and_the_printed_sign_turns_it_away():
-    camera = camera_at(size=(32, 24))
-    normals = jnp.broadcast_to(jnp.asarray([0.0, 0.0, -1.0]), (24, 32, 3))
-
-    @jax.jit
-    @jax.value_and_grad
-    def regulariser(tilt):
-        gaussians = tilted(tilt)
-        view = rendering.render(gaussians, camera, capacity=4096, background=jnp.zeros(3, jnp.float32), with_depth=True)
-        return sdf.misalignment(sdf.sdf_gradient_map(gaussians, view, camera), normals, view.alphas > 0.5)
-
-    def degrees_after(sign, steps=10):
-        optimizer = optax.adam(0.03)
-        tilt = jnp.asarray([0.3, -0.4], jnp.float32)
-        state = optimizer.init(tilt)
-        for _ in range(steps):
-            _, gradient = regulariser(tilt)
-            with jax.numpy_dtype_promotion("standard"):
-                updates, state = optimizer.update(sign * gradient, state)
-            tilt = tilt + updates
-        return np.degrees(2 * np.arctan(0.5 * np.linalg.norm(tilt)))
-
-    at_the_start = degrees_after(1, steps=0)
-    assert degrees_after(1) < at_the_start - 10  # 1 - |cos|, ours
-    assert degrees_after(-1) > at_the_start + 10  # + |cos|, as printed

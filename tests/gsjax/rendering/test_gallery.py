@@ -30,33 +30,25 @@ def reference(scene, camera, **options):
     return rasterizer.rasterization(*shape, sh_coefficients(scene), *cameras, **how)
 
 
-@pytest.mark.parametrize("index", [0, 1])
-def test_a_picture_has_its_cameras_size_and_content(scene_and_pictures, index):
+def test_a_picture_has_its_cameras_size_and_content(scene_and_pictures):
     scene, pictures = scene_and_pictures
-    picture, camera = pictures[index], CAMERAS[index]
-    image, alphas, _ = reference(scene, camera, depth_mode="plane")
+    assert [picture.colors.shape for picture in pictures] == [(20, 24, 3), (16, 32, 3)]
+    picture = pictures[0]
+    image, alphas, _ = reference(scene, CAMERAS[0], depth_mode="plane")
     image, alphas = np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
-    assert picture.colors.shape == (camera.height, camera.width, 3)
     assert_close(picture.alphas, alphas)
     assert_close(picture.colors, np.clip(image[..., :3] + (1 - alphas[..., None]) * BACKGROUND, 0, 1))
     assert_close(picture.depth, np.where(alphas > MIN_COVERAGE, image[..., 3], 0))
-
-
-def test_pictures_are_numpy_and_float32(scene_and_pictures):
-    for picture in scene_and_pictures[1]:
-        assert all(isinstance(part, np.ndarray) for part in picture)
-        assert [part.dtype for part in picture] == 3 * [np.float32] + [np.int32]
+    for each in pictures:
+        assert all(isinstance(part, np.ndarray) for part in each)
+        assert [part.dtype for part in each] == 3 * [np.float32] + [np.int32]
 
 
 def test_owners_are_the_medians_of_the_reference(scene_and_pictures):
     scene, pictures = scene_and_pictures
-    camera = CAMERAS[0]
-    projection = rasterizer.project(
-        scene.means, scene.quats, scales(scene), opacities(scene), camera.viewmat[None], camera.K[None], 24, 20
-    )
     owners = pictures[0].owners
-    *_, info = reference(scene, camera, return_median_depth=True)
-    depths = np.where(owners >= 0, np.asarray(projection.depths)[0, owners], 0)
+    *_, info = reference(scene, CAMERAS[0], return_median_depth=True)
+    depths = np.where(owners >= 0, np.asarray(info["depths"])[0, owners], 0)
     assert (owners >= 0).any() and (owners < 0).any()
     np.testing.assert_allclose(depths, info["median_depths"][0, ..., 0], rtol=1e-6)
 
@@ -88,10 +80,3 @@ def test_scenes_that_need_about_as_many_pairs_share_a_program(monkeypatch):
     assert gallery._capacity(first + 1) > first
     assert gallery._capacity(10) < first, "memory is not wasted on what needs a hundredth"
     assert gallery._capacity(10**9) == rasterizer.capacity_bucket(10**9), "nor does a long one outgrow its index"
-
-
-def test_where_every_slot_is_sorted_a_buffer_is_as_short_as_it_may_be(monkeypatch):
-    monkeypatch.setattr(gallery, "_compiled", set())
-    monkeypatch.setattr(gallery, "resolve", lambda backend: "xla")
-    for needed in (5000, 1000, 4000):
-        assert gallery._capacity(needed) == rasterizer.capacity_bucket(needed)

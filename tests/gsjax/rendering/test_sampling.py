@@ -26,11 +26,6 @@ def test_values_equal_scipys_inside_and_beyond_the_border():
     assert_close(sampled(pixels), expected)
 
 
-def test_pixel_centres_are_at_a_half():
-    x, y = np.meshgrid(np.arange(8) + 0.5, np.arange(5) + 0.5)
-    assert_close(sampled(np.stack([x.ravel(), y.ravel()], -1)), IMAGE.ravel())
-
-
 def test_slope_is_that_of_the_patch_and_zero_beyond_the_border():
     inside = slopes(jnp.asarray(IMAGE), jnp.asarray([3.0, 2.25], jnp.float32))[1]
     patch = IMAGE[1:3, 2:4].astype(np.float64)
