@@ -45,16 +45,13 @@ def assert_identical(actual, expected):
 
 
 def test_buckets_are_halves_of_the_budget(monkeypatch):
+    assert {bucket(count, 1 << 20) for count in (0, 5_000, 32_768)} == {32_768}
+    assert bucket(32_769, 1 << 20) == 65_536
+    assert bucket(10, 100_000) == 50_000
     monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
     counts = {0: 12, 8: 12, 12: 12, 13: 25, 25: 25, 26: 50, 51: 100, 100: 100, 1000: 100}
     assert {count: bucket(count, 100) for count in counts} == counts
     assert bucket(3, 5) == 5, "a budget under the smallest bucket is the buffer"
-
-
-def test_buffers_hold_at_least_32_768_rows_where_the_budget_does():
-    assert {bucket(count, 1 << 20) for count in (0, 5_000, 32_768)} == {32_768}
-    assert bucket(32_769, 1 << 20) == 65_536
-    assert bucket(10, 100_000) == 50_000 and bucket(10, 40_000) == 40_000
 
 
 def test_a_gpu_compiles_for_few_lengths(monkeypatch):
@@ -95,8 +92,8 @@ def test_buffers_that_are_as_short_as_can_be_stay(monkeypatch):
     assert shorten(state, OPTIMIZER, LONG) is state, "twenty take twenty-four"
     monkeypatch.setattr(buffers, "ROUND", 2)
     assert shorten(state, OPTIMIZER, LONG).gaussians.num_gaussians == ALIVE < buffers.WORTH * SHORT
-    little = trained(22)
-    assert shorten(little, OPTIMIZER, LONG) is little, "two rows of twenty-two"
+    monkeypatch.setattr(buffers, "WORTH", 0.8)
+    assert shorten(state, OPTIMIZER, LONG) is state, "too few rows to be worth it"
     emptied = remove(trained(LONG), jnp.ones(LONG, bool), optimizer=OPTIMIZER)
     assert shorten(emptied, OPTIMIZER, LONG).gaussians.num_gaussians == 8
 
@@ -116,13 +113,12 @@ def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of
     assert_identical(lengthen(grown, OPTIMIZER, LONG), whole)
 
 
-@pytest.mark.parametrize("most", [SHORT, LONG])
-def test_rows_are_added_only_when_they_are_wanted_and_allowed(most):
-    calm, rule = Density(gradient=1e9), DENSIFICATION_RULES["adc"]
-    state = trained(SHORT)
-    assert with_room_to_densify(state, OPTIMIZER, calm, most, rule=rule) is state
-    eager = with_room_to_densify(state, OPTIMIZER, Density(gradient=0.0), most, rule=rule)
-    assert eager.gaussians.num_gaussians == most
+def test_rows_are_added_only_when_they_are_wanted_and_allowed():
+    rule, state = DENSIFICATION_RULES["adc"], trained(SHORT)
+    assert with_room_to_densify(state, OPTIMIZER, Density(gradient=1e9), LONG, rule=rule) is state
+    for most in (SHORT, LONG):
+        eager = with_room_to_densify(state, OPTIMIZER, Density(gradient=0.0), most, rule=rule)
+        assert eager.gaussians.num_gaussians == most
 
 
 @pytest.mark.parametrize(("stop", "ends"), [(4, [4, 6]), (6, [6]), (20, [6])])

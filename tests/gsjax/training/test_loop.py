@@ -92,7 +92,7 @@ def assert_identical(actual, expected):
     jax.tree.map(np.testing.assert_array_equal, actual, expected)
 
 
-def test_phases_follow_each_other_with_their_terms(whole):
+def test_phases_follow_each_other_with_their_terms_and_the_prior_is_asked_for_normals_once(whole):
     steps = [(p.step, p.phase.name, p.phase_done) for p in whole.progress]
     names = ["coarse"] * 6 + ["surface"] * 5
     assert steps == [(i + 1, name, i + 1 in (6, 11)) for i, name in enumerate(names)]
@@ -101,20 +101,19 @@ def test_phases_follow_each_other_with_their_terms(whole):
     assert terms == {"coarse": {"l1", "alpha"}, "surface": {"l1", "alpha", "entropy", "sdf_normal"}}
     assert len({(p.phase.name, p.capacity) for p in whole.progress}) == 2  # a capacity is a compilation
     assert_identical(whole.states[-1], whole.final)
-
-
-def test_the_prior_is_asked_once_and_only_for_the_phase_of_normals(whole):
     (gaussians,) = whole.priors
     assert_identical(gaussians, whole.states[5].gaussians)
 
 
-def test_gaussians_grow_only_when_due_and_are_culled_at_the_end_of_the_phase(whole):
+def test_gaussians_grow_and_are_reset_only_when_due_and_culled_at_the_end_of_the_phase(whole):
     alive = [int(count_alive(s.gaussians)) for s in whole.states]
     assert alive[0] == ALIVE  # not before `start`
     assert alive[1] > ALIVE and alive[2] == alive[1] and alive[3] >= alive[2]  # at steps 2 and 4, not at 3
     assert alive[4] == alive[3] <= CAPACITY
-    opacity = np.asarray(opacities(whole.states[5].gaussians))
-    assert alive[5] == (opacity >= 0.6).sum() < alive[4]
+    opacity = [np.asarray(opacities(s.gaussians)) for s in whole.states]
+    assert opacity[3].max() > 0.75
+    assert opacity[4].max() == pytest.approx(0.7, abs=1e-5)
+    assert alive[5] == (opacity[5] >= 0.6).sum() < alive[4]
     assert alive[6:] == [alive[5]] * 5
 
 
@@ -124,12 +123,6 @@ def test_after_a_cull_a_run_goes_on_in_shorter_buffers_to_the_same_bits(whole, f
     alive = int(count_alive(whole.final.gaussians))
     assert [state.gaussians.num_gaussians for state in short.states] == [CAPACITY] * 5 + [alive] * 6
     assert_identical(short.final.gaussians, take(whole.final.gaussians, np.asarray(is_alive(whole.final.gaussians))))
-
-
-def test_opacities_are_reset_when_due(whole):
-    highest = [float(opacities(s.gaussians).max()) for s in whole.states]
-    assert highest[3] > 0.75
-    assert highest[4] == pytest.approx(0.7, abs=1e-5)
 
 
 def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_start(monkeypatch):
@@ -171,10 +164,8 @@ def entered(monkeypatch):
 @pytest.mark.parametrize(
     ("done", "expected"),
     [
-        (0, [("coarse", 2, (0, 6), 777), ("surface", 1, (6, 11), "777 or counted")]),
         (2, [("coarse", 2, (2, 6), 777), ("surface", 1, (6, 11), "777 or counted")]),
         (6, [("surface", 1, (6, 11), 777)]),
-        (8, [("surface", 1, (8, 11), 777)]),
         (11, []),
     ],
 )
@@ -198,47 +189,43 @@ def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits
 def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_the_others_always(
     frames, monkeypatch, first_step
 ):
-    calls = []
-
-    def make_train_step(optimizer, terms, **_):
-        def step(state, target, key):
-            calls.append((int(state.step), {each.name for each in terms}, target.image.shape[:2]))
-            return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False, finite=True, needed=1)
-
-        return step
-
-    monkeypatch.setattr(loop, "kept_step", make_train_step)
+    calls = recorded_steps(monkeypatch)
     weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, depth_normal=0.3)
     settings = SETTINGS.replace(schedule={"phases": (Phase("surface", 7, weights, surface_every=3, surface_scale=2),)})
     fitted(frames, settings, state=replace(start(), step=np.int32(first_step)), capacity=64)
-    always = {"l1", "alpha", "entropy"}, (24, 32)
-    rarely = always[0] | {"sdf_normal", "depth_normal"}, (12, 16)
+    always = {"l1", "alpha", "entropy"}, (24, 32), "plane"
+    rarely = always[0] | {"sdf_normal", "depth_normal"}, (12, 16), "plane"
     every = [always, always, rarely, always, always, rarely, always]
     assert calls == [(step, *each) for step, each in enumerate(every)][first_step:]
 
 
 def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):
-    trained_with = []
-
-    def make_train_step(optimizer, terms, *, depth_mode, **_):
-        trained_with.append(({each.name for each in terms}, depth_mode))
-        return lambda state, target, key: (state, SimpleNamespace(overflowed=False, finite=True, needed=1))
-
-    monkeypatch.setattr(loop, "kept_step", make_train_step)
+    calls = recorded_steps(monkeypatch)
     settings = SETTINGS.replace(schedule={"phases": (Phase("plain", 1, PLAIN),)}, model={"depth_mode": "center"})
     for photos in (frames, tuple(with_pixels(f, f.pixels()._replace(matte=None)) for f in frames)):
         fitted(photos, settings, capacity=64)
-    assert trained_with == [({"l1", "alpha"}, "center"), ({"l1"}, "center")]
+    assert calls == [(0, {"l1", "alpha"}, (24, 32), "center"), (0, {"l1"}, (24, 32), "center")]
+
+
+def recorded_steps(monkeypatch):
+    """The list of (step, terms, photo's size, depth) of all steps from here on, which do nothing else."""
+    calls = []
+
+    def make_train_step(optimizer, terms, *, depth_mode, **_):
+        def step(state, target, key):
+            calls.append((int(state.step), {each.name for each in terms}, target.image.shape[:2], depth_mode))
+            return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False, finite=True, needed=1)
+
+        return step
+
+    monkeypatch.setattr(loop, "kept_step", make_train_step)
+    return calls
 
 
 @pytest.mark.parametrize(
     ("message", "raised", "line"),
     [
-        (
-            "RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes",
-            InputError,
-            "no room for a step at 32x24 with 64 pairs",
-        ),
+        ("RESOURCE_EXHAUSTED: Out of memory", InputError, r"^[^\n]* no room for a step at 32x24 [^\n]*$"),
         ("INTERNAL: something else", jax.errors.JaxRuntimeError, "something else"),
     ],
 )
@@ -250,9 +237,8 @@ def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frame
         return step
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
-    with pytest.raises(raised, match=line) as error:
+    with pytest.raises(raised, match=line):
         fitted(frames, SETTINGS.replace(schedule={"phases": (Phase("plain", 1, PLAIN),)}), capacity=64)
-    assert "\n" not in str(error.value)
 
 
 def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bits(frames):

@@ -118,12 +118,11 @@ def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog
     monkeypatch.setattr(batches, "device_room", lambda share: 1e9 * share)
     assert toy_steps(data, 1 << 16, feed=feed) == expected
     assert fed == [0.5] * 3 + [0.0] * 7
-    assert [record.message for record in caplog.records] == [
-        "the device is full: photos are sent to it one by one from here on"
-    ]
+    (record,) = caplog.records
+    assert record.message.startswith("the device is full")
 
 
-@pytest.mark.parametrize("looks", [None, lambda step: False, lambda step: step % 2 == 0])
+@pytest.mark.parametrize("looks", [None, lambda step: step % 2 == 0])
 def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_after_it(frames, looks):
     """Also where a state is looked at now and then, so that the next step is begun before the flag is read."""
     data, records, explanations = batches.read_batches(frames), [], []

@@ -89,11 +89,7 @@ def test_a_large_gaussian_is_split_in_two_smaller_ones_inside_itself():
     for name in ("quats", "logit_opacities", "sh_dc", "sh_rest"):
         field = np.asarray(getattr(after, name))[halves]
         np.testing.assert_array_equal(field, np.repeat(np.asarray(getattr(before, name))[3:4], 2, axis=0))
-    offsets = (np.asarray(after.means)[halves] - np.asarray(before.means)[3]) @ np.asarray(
-        rotation_matrices(before.quats)[3]
-    )
-    assert np.abs(offsets[0] - offsets[1]).max() > 1e-3
-    assert np.all(np.abs(offsets) < 5 * np.asarray(scales(before))[3])
+    assert np.abs(np.subtract(*np.asarray(after.means)[halves])).max() > 1e-3
     assert_same_rows(after, before, [0, 1, 2, 4, 5, 6, 7, 8, 9])
 
 
@@ -107,14 +103,6 @@ def test_split_positions_are_samples_of_the_gaussian():
     np.testing.assert_allclose(samples.mean(0), np.zeros(3), atol=0.08 * expected.max())
 
 
-def test_the_limit_between_clone_and_split_is_a_share_of_the_extent():
-    before = scene(size={1: 0.0999, 2: 0.1001})
-    after, _ = densified(before, gradients({1: 1.0, 2: 1.0}))
-    largest = np.asarray(scales(after)).max(1)
-    np.testing.assert_allclose(largest[1], 0.0999, rtol=1e-5)
-    np.testing.assert_allclose(largest[2], 0.1001 / 1.6, rtol=1e-5)
-
-
 def test_when_rows_are_short_the_largest_gradients_win():
     means = {row: 1 + 0.1 * ((7 * row) % 10) for row in range(ALIVE)}
     after, moved = densified(scene(), gradients(means))
@@ -122,13 +110,6 @@ def test_when_rows_are_short_the_largest_gradients_win():
     winners = sorted(means, key=means.get)[-(CAPACITY - ALIVE) :]
     assert sorted(np.asarray(moved.source)[ALIVE:]) == sorted(winners)
     np.testing.assert_array_equal(np.asarray(moved.source)[:ALIVE], np.arange(ALIVE))
-
-
-def test_a_full_buffer_of_opaque_gaussians_stays_as_it_is():
-    full = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9), size={0: 0.4})
-    after, moved = densified(full, gradients(dict.fromkeys(range(CAPACITY), 9.0)))
-    assert_same_rows(after, full, slice(None))
-    assert not np.any(moved.fresh)
 
 
 def test_faint_gaussians_die_and_their_rows_serve_at_once():
@@ -175,7 +156,7 @@ def densify_and_prune_of_3dgs(gaussians, gradient, prune_large):
 
 @pytest.mark.parametrize("prune_large", [False, True])
 def test_with_room_enough_what_is_left_is_what_3dgs_leaves(prune_large):
-    sizes = {0: 0.3, 1: 6.0, 2: 7.5, 3: 9.0, 4: 5.5, 6: 0.2}
+    sizes = {0: 0.1001, 1: 6.0, 2: 7.5, 3: 9.0, 4: 5.5, 5: 0.0999, 6: 0.2}
     gradient = {0: 1.0, 1: 0.7, 3: 2.0, 5: 0.9, 6: 3.0, 7: 0.4, 8: 5.0}
     before = scene(opacity={6: 0.05, 8: 0.02, 9: 0.3}, size=sizes)
     after, _ = densified(before, gradients(gradient), prune_large)
@@ -232,33 +213,8 @@ def test_gaussians_never_seen_stay_as_they_are():
 def test_accumulated_gradients_are_norms_in_ndc_units_of_the_visible():
     gradient = np.random.default_rng(0).normal(size=(CAPACITY, 2))
     visible = np.arange(CAPACITY) % 3 > 0
-    statistics = control.empty_statistics(CAPACITY)
-    for _ in range(2):
-        statistics = control.accumulate(
-            statistics,
-            jnp.asarray(gradient, jnp.float32),
-            jnp.asarray(visible),
-            jnp.ones(CAPACITY, jnp.float32),
-            jnp.array([40, 30], jnp.int32),
-        )
+    view = jnp.asarray(gradient, jnp.float32), jnp.asarray(visible), jnp.ones(CAPACITY), jnp.array([40, 30])
+    statistics = control.accumulate(control.accumulate(control.empty_statistics(CAPACITY), *view), *view)
     expected = np.where(visible, np.linalg.norm(gradient * [20, 15], axis=1), 0)
     assert_close(statistics.gradient, 2 * expected)
     assert_close(statistics.views, 2.0 * visible)
-
-
-def test_reset_caps_opacities_and_leaves_the_dead_dead():
-    before = scene(opacity={1: 0.005})
-    after = control.reset_opacities(before, 0.01)
-    expected = np.where(np.arange(CAPACITY) < ALIVE, 0.01, 0)
-    expected[1] = 0.005
-    assert_close(opacities(after), expected)
-    np.testing.assert_array_equal(alive(after), alive(before))
-    assert_same_rows(after.log_scales, before.log_scales, slice(None))
-
-
-def test_cull_removes_what_is_fainter():
-    before = scene(opacity={2: 0.49, 3: 0.51})
-    after = control.cull(before, 0.5)
-    np.testing.assert_array_equal(alive(after), alive(before) & (np.arange(CAPACITY) != 2))
-    is_alive = alive(after)
-    assert_same_rows(after, before, is_alive)
