@@ -34,18 +34,14 @@ def with_tracks(scene, is_kept):
     return replace(scene, tracks=lambda: fewer)
 
 
-def test_a_blurred_photo_is_named():
-    blur = diagnose(blurred(4)).effects["blur"]
-    assert blur.on
-    assert blur.note == "blurred: 04.png; 1 by more than 70 %, training leaves 1 out"
-    assert not diagnose(blurred()).effects["blur"].on
-
-
-def test_photos_are_left_out_where_others_see_what_they_see():
-    scene = blurred(4, 7)
-    assert photos_to_leave_out(observe(scene)) == ("04.png", "07.png")
-    assert photos_to_leave_out(observe(with_tracks(scene, lambda photo, _: photo < 0))) == (), "nobody knows"
-    frames = [replace(frame, held_out=frame.name == "07.png") for frame in scene.frames]
+def test_blurred_photos_are_named_and_left_out_where_others_see_what_they_see():
+    for photos, names in (((4,), ("04.png",)), ((4, 7), ("04.png", "07.png")), ((), ())):
+        scene = blurred(*photos)
+        assert photos_to_leave_out(observe(scene)) == names
+        blur = diagnose(scene).effects["blur"]
+        assert blur.on == bool(photos)
+        assert not photos or blur.note.startswith(f"blurred: {', '.join(names)}; {len(names)} by more than 70 %")
+    frames = [replace(frame, held_out=frame.name == "07.png") for frame in blurred(4, 7).frames]
     scene = replace(scene, frames=tuple(frames))
     assert photos_to_leave_out(observe(scene)) == ("04.png",), "held-out photos are not trained on"
 

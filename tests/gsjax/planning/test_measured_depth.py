@@ -80,20 +80,20 @@ def test_points_tell_what_a_metre_is(tmp_path, frames):
 def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path, frames):
     doubled = Similarity(2.0)  # of files in metres
     tracked = scene_of(tmp_path, frames, similarity=doubled, millimetres=500)
-    for scene, message in ((tracked, "the scene is in metres"), (replace(tracked, tracks=None), "no points tell the")):
-        measured = measured_depth(scene, Supervision(depth="depth", depth_unit="mm"))
+    bare, metres, unknown = replace(tracked, tracks=None), "the scene is in metres", "no points tell the"
+    for scene, unit, of_millimetres, message in (
+        (tracked, "mm", 1, metres),
+        (bare, "mm", 1, unknown),
+        (bare, "cm", 10, unknown),
+        (bare, "m", 1000, unknown),
+    ):
+        measured = measured_depth(scene, Supervision(depth="depth", depth_unit=unit))
         assert message in measured.line
-        np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
+        depth_map = next(iter(measured.depths(1)))[0]
+        np.testing.assert_allclose(depth_map, of_millimetres * true_depth(CAMERAS[0]), rtol=1e-5)
     placed = replace(tracked, place=Place(scale=3.0))  # a unit of the files is three metres
     own = measured_depth(placed, Supervision(depth="depth", depth_unit="scene"))
     np.testing.assert_allclose(next(iter(own.depths(1)))[0], 2 * 3 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
-
-
-@pytest.mark.parametrize(("unit", "in_a_metre"), [("cm", 100), ("m", 1)])
-def test_every_unit_is_as_long_as_its_name_says(tmp_path, frames, unit, in_a_metre):
-    in_metres = replace(scene_of(tmp_path, frames, millimetres=in_a_metre), tracks=None)
-    measured = measured_depth(in_metres, Supervision(depth="depth", depth_unit=unit))
-    np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
 
 
 def test_maps_of_something_else_are_refused(tmp_path, frames):

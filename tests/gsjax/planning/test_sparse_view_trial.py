@@ -28,11 +28,11 @@ def scene(tmp_path_factory):
 
 @pytest.fixture
 def short(monkeypatch):
-    """Validation runs of thirty steps."""
+    """Validation runs of twenty steps."""
     (phase,) = validation.SHORT.schedule.phases
-    density = replace(validation.SHORT.density, start=5, stop=20)
+    density = replace(validation.SHORT.density, start=5, stop=15)
     monkeypatch.setattr(
-        validation, "SHORT", validation.SHORT.replace(schedule={"phases": (replace(phase, steps=30),)}, density=density)
+        validation, "SHORT", validation.SHORT.replace(schedule={"phases": (replace(phase, steps=20),)}, density=density)
     )
 
 

@@ -11,7 +11,7 @@ from small_scenes import camera_at, cloud, photographed
 from gsjax.effects.simulation import NO_EFFECTS, Effect
 from gsjax.errors import InputError
 from gsjax.gaussians import opacities, take
-from gsjax.scene import batches, with_pixels
+from gsjax.scene import with_pixels
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import buffers, loop
 from gsjax.training.densification import gradient_driven
@@ -125,37 +125,39 @@ def test_after_a_cull_a_run_goes_on_in_shorter_buffers_to_the_same_bits(whole, f
     assert_identical(short.final.gaussians, take(whole.final.gaussians, np.asarray(is_alive(whole.final.gaussians))))
 
 
-def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_start(monkeypatch):
+@pytest.mark.parametrize(
+    ("background", "settings", "expected"),
+    [
+        # At 2, 4, 5, 6 and 8: what was fitted to the white goes once more, before anything grows.
+        ("white", {}, ["reset", (4, False), "reset", (6, True), (8, True)]),
+        ("black", {}, [(4, False), "reset", (6, True), (8, True)]),
+        ("random", {"start": 0, "stop": 5}, [(2, False), (4, False)]),
+        # Without resets, of any kind: past a fifth of the steps.
+        ("white", {"reset_every": 0}, [(4, True), (6, True), (8, True)]),
+        ("black", {"start": 8, "stop": 11}, ["reset", (10, True), "reset"]),
+    ],
+)
+def test_gaussians_grow_are_reset_and_pruned_by_size_when_due(monkeypatch, background, settings, expected):
     calls = []
     monkeypatch.setattr(loop, "densify", lambda state, key, extent, large, **_: calls.append((int(state), bool(large))))
     monkeypatch.setattr(loop, "reset_opacities", lambda state, **_: calls.append("reset"))
-    density = Density(start=2, stop=9, every=2, reset_every=5)
     monkeypatch.setattr(loop.buffers, "with_room_to_densify", lambda state, *_, **how: state)
-    for variant in (density, replace(density, reset_every=0)):
-        for step in range(1, 9):
-            planned = plan(SETTINGS.replace(density=variant, model={"background": "white"}))
-            work = loop.Work(planned, (), EXTENT, OPTIMIZER)
-            loop._densify_when_due(work, DENSIFICATION_RULES["adc"], step, step, jax.random.key(0))
-        calls.append("end")
-    with_resets = ["reset", (4, False), "reset", (6, True), (8, True), "end"]  # at 2, 4, 5, 6 and 8
-    assert calls == [*with_resets, (4, True), (6, True), (8, True), "end"]
+    density = Density(**{"start": 2, "stop": 9, "every": 2, "reset_every": 5} | settings)
+    work = loop.Work(plan(SETTINGS.replace(density=density, model={"background": background})), (), EXTENT, OPTIMIZER)
+    for step in range(1, 12):
+        loop._densify_when_due(work, DENSIFICATION_RULES["adc"], step, step, jax.random.key(0))
+    assert calls == expected
 
 
 @pytest.fixture
 def entered(monkeypatch):
-    """(phase, scale, steps, capacity) of every phase that is entered; none is run."""
-    phases, scales = [], []
-
-    def stacked(frames, scale, keep):
-        scales.append(scale)
-        return unreduced(frames)
+    """(phase, height of its photos, steps, capacity) of every phase that is entered; none is run."""
+    phases = []
 
     def run_phase(work, phase, data, state, done, capacity):
-        phases.append((phase.name, scales[-1], (done, phase.end), capacity))
+        phases.append((phase.name, len(data.image.views[0].image), (done, phase.end), capacity))
         return state, capacity
 
-    unreduced = batches.read_batches
-    monkeypatch.setattr(batches, "read_batches", stacked)
     monkeypatch.setattr(loop, "_run_phase", run_phase)
     monkeypatch.setattr(loop, "_room_for", lambda work, phase, data, state, before: f"{before} or counted")
     return phases
@@ -164,8 +166,8 @@ def entered(monkeypatch):
 @pytest.mark.parametrize(
     ("done", "expected"),
     [
-        (2, [("coarse", 2, (2, 6), 777), ("surface", 1, (6, 11), "777 or counted")]),
-        (6, [("surface", 1, (6, 11), 777)]),
+        (2, [("coarse", 12, (2, 6), 777), ("surface", 24, (6, 11), "777 or counted")]),
+        (6, [("surface", 24, (6, 11), 777)]),
         (11, []),
     ],
 )

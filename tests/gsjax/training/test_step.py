@@ -16,7 +16,7 @@ from gsjax.gaussians import opacities
 from gsjax.metrics.images import psnr
 from gsjax.scene import batches
 from gsjax.settings import Density, Rates, Weights
-from gsjax.training.capacity import chosen_capacity, kept_or, largest_need
+from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import DEAD_LOGIT
@@ -249,14 +249,6 @@ def test_the_capacity_holds_every_view_with_headroom(setup):
     assert largest_need(gaussians, setup.data) == max(needs)
     capacity = chosen_capacity(gaussians, setup.data, headroom=1.5)
     assert capacity % 4096 == 0 and 1.5 * max(needs) < capacity <= 1.5 * max(needs) + 4097
-
-
-@pytest.mark.parametrize(
-    ("before", "is_kept"), [(None, False), (4_999, False), (5_000, True), (32_000, True), (32_001, False)]
-)
-def test_a_phase_goes_on_in_the_buffer_of_before_where_it_serves(before, is_kept):
-    """Of 4,000 needed slots: not if it would soon be too short, nor if it is longer than a new one."""
-    assert kept_or(32_000, 8.0, before) == (before if is_kept else 32_000)
 
 
 def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):

@@ -77,14 +77,8 @@ RISING = np.arange(ROWS, dtype=np.float32)
 @pytest.mark.parametrize("opacity", [1e-4, 0.6, 0.99999])
 def test_both_halves_show_the_same_line_integral_mean_and_spread_as_the_whole(opacity, x64):
     logit = np.log(opacity) - np.log1p(-opacity)
-    whole = Gaussians(
-        means=jnp.array([[1.0, -2.0, 0.5]]),
-        quats=jnp.array([[0.9, 0.2, -0.3, 0.4]]),
-        log_scales=jnp.log(jnp.array([[0.2, 0.7, 0.1]])),
-        logit_opacities=jnp.array([logit]),
-        sh_dc=jnp.zeros((1, 1, 3)),
-        sh_rest=jnp.zeros((1, 0, 3)),
-    )
+    fields = [1.0, -2.0, 0.5], [0.9, 0.2, -0.3, 0.4], np.log([0.2, 0.7, 0.1]), logit, np.zeros((1, 3)), np.zeros((0, 3))
+    whole = Gaussians(*(jnp.asarray(np.array(field))[None] for field in fields))
     halves = [error_driven.split_half(whole, jnp.array([side])) for side in (-1.0, 1.0)]
     axes = np.asarray(rotation_matrices(whole.quats)[0])
     places = np.stack([(np.asarray(half.means)[0] - np.asarray(whole.means)[0]) @ axes for half in halves])
@@ -97,9 +91,7 @@ def test_both_halves_show_the_same_line_integral_mean_and_spread_as_the_whole(op
     x = np.linspace(-8, 8, 200_001)
 
     def alpha(gaussians, place):
-        return np.asarray(opacities(gaussians))[0] * np.exp(
-            -0.5 * ((x - place) / np.asarray(scales(gaussians))[0, 1]) ** 2
-        )
+        return float(opacities(gaussians)[0]) * np.exp(-0.5 * ((x - place) / float(scales(gaussians)[0, 1])) ** 2)
 
     lit = 1 - (1 - alpha(halves[0], places[0, 1])) * (1 - alpha(halves[1], places[1, 1]))
     np.testing.assert_allclose(np.trapezoid(lit, x), np.trapezoid(alpha(whole, 0.0), x), rtol=1e-9)

@@ -122,18 +122,6 @@ def test_faint_gaussians_die_and_their_rows_serve_at_once():
     assert int(moved.source[0]) == 3 and alive(after)[0] and alive(after).sum() == ALIVE - 1
 
 
-def test_a_large_gaussian_that_grows_leaves_its_halves_behind_where_these_are_small_enough():
-    before = scene(size={1: 5.1, 4: 7.9, 7: 8.1, 9: 7.0})  # halves of 3.2, 4.9 and 5.1; the last one is well fitted
-    after, moved = densified(before, gradients({1: 1.0, 4: 2.0, 7: 9.0}), prune_large=True)
-    survivors = {row: float(scales(after)[row].max()) for row in np.flatnonzero(alive(after))}
-    # The doomed ones' rows, 7 and 9, are the first that are free: the steeper gradient gets the first.
-    assert (int(moved.source[7]), int(moved.source[9])) == (4, 1)
-    assert len(survivors) == ALIVE
-    for row, size in ((1, 5.1), (9, 5.1), (4, 7.9), (7, 7.9)):
-        assert survivors[row] == pytest.approx(size / 1.6, rel=1e-5)
-    assert max(survivors.values()) < 5
-
-
 def test_a_large_gaussian_that_finds_no_row_for_its_second_half_waits():
     full = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9), size={3: 7.0})
     steeper = {row: 9.0 for row in range(CAPACITY) if row != 3}
@@ -163,43 +151,6 @@ def test_with_room_enough_what_is_left_is_what_3dgs_leaves(prune_large):
     sizes_and_opacities = (np.asarray(scales(after).max(1)), np.asarray(opacities(after)))
     remaining = sorted(zip(*(values[alive(after)] for values in sizes_and_opacities), strict=True))
     np.testing.assert_allclose(remaining, densify_and_prune_of_3dgs(before, gradient, prune_large), rtol=1e-5)
-
-
-def steps_where(rule, *arguments, density, last=100):
-    return [step for step in range(1, last + 1) if rule(density, step, *arguments)]
-
-
-def test_densification_is_due_between_its_bounds():
-    assert steps_where(control.densifies, density=Density(start=20, stop=60, every=10)) == [30, 40, 50]
-
-
-@pytest.mark.parametrize(
-    ("settings", "first"),
-    [
-        ({}, 41),  # after the first reset, as in 3DGS
-        ({"reset_every": 0}, 17),  # without resets: past a fifth of the 80 steps
-    ],
-)
-def test_size_prunes_from_a_step_on_also_where_opacities_are_never_reset(settings, first):
-    density = Density(**{"stop": 80, "reset_every": 40, **settings})
-    assert steps_where(control.prunes_large, density=density) == list(range(first, 101))
-    assert min(steps_where(control.prunes_large, density=Density(), last=3100)) == 3001
-    assert min(steps_where(control.prunes_large, density=Density(reset_every=0), last=3100)) == 3001
-
-
-@pytest.mark.parametrize(
-    ("background", "settings", "expected"),
-    [
-        ("black", {}, [40]),
-        ("white", {}, [15, 40]),  # what was fitted to the white goes once more, before anything grows
-        ("random", {}, [40]),
-        ("white", {"reset_every": 0}, []),  # resets are off: all of them
-        ("white", {"start": 80}, [40]),
-    ],
-)
-def test_opacities_are_reset_now_and_then_and_at_the_start_over_white(background, settings, expected):
-    density = Density(**{"start": 15, "stop": 80, "reset_every": 40, **settings})
-    assert steps_where(control.resets_opacities, background, density=density) == expected
 
 
 def test_gaussians_never_seen_stay_as_they_are():

@@ -31,12 +31,6 @@ SETTINGS = Settings(
 )
 
 
-@pytest.fixture(scope="module")
-def frames():
-    cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
-    return photographed(cloud(50, seed=5), cameras)
-
-
 def _target_count(gaussians, statistics, density, *, step, budget):
     return jnp.int32(2 * ALIVE)
 
@@ -59,12 +53,13 @@ DOUBLING = DENSIFICATION_RULES["adc"]._replace(  # Under `gradient=1e9` the rule
 )
 
 
-def trained(frames, rules, state, monkeypatch):
-    """A run whose phases have these rules; the states after its steps."""
+def test_the_rule_of_a_phase_gathers_makes_room_and_densifies_and_the_next_begins_with_sums_of_its_own(monkeypatch):
+    """So does the first phase, whose state was made for the rule of 3DGS."""
     monkeypatch.setattr(buffers, "_fewest_rows", lambda: 8)
-    watched = []
-    planned = plan(SETTINGS)
-    phases = tuple(replace(phase, rule=rule) for phase, rule in zip(planned.phases, rules, strict=False))
+    cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
+    frames, planned, watched = photographed(cloud(50, seed=5), cameras), plan(SETTINGS), []
+    rules = DOUBLING, DENSIFICATION_RULES["adc"]
+    phases = tuple(replace(phase, rule=rule) for phase, rule in zip(planned.phases, rules, strict=True))
     work = Work(
         replace(planned, phases=phases),
         frames,
@@ -72,22 +67,10 @@ def trained(frames, rules, state, monkeypatch):
         OPTIMIZER,
         observe=lambda progress: watched.append(jax.tree.map(np.array, progress.state)),
     )
-    follow(work, state, 8192)
-    return watched
-
-
-def test_the_rule_of_a_phase_gathers_makes_room_and_densifies(frames, monkeypatch):
-    state = initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER, DOUBLING)
-    watched = trained(frames, (DOUBLING,), state, monkeypatch)
+    follow(work, initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER), 8192)
     assert [int(count_alive(each.gaussians)) for each in watched[:4]] == [ALIVE, ALIVE, 2 * ALIVE, 2 * ALIVE]
     assert watched[1].statistics["seen"].max() == 2 and watched[2].statistics["seen"].max() == 0
     assert watched[1].gaussians.num_gaussians == ROWS < 2 * ALIVE <= watched[2].gaussians.num_gaussians
-
-
-def test_a_phase_with_another_rule_begins_with_sums_of_its_own(frames, monkeypatch):
-    """Also a first phase, whose state was made for the rule of 3DGS."""
-    state = initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER)
-    watched = trained(frames, (DOUBLING, DENSIFICATION_RULES["adc"]), state, monkeypatch)
     assert watched[6].statistics.views.max() == 1, "after the first step of the second phase"
     assert watched[-1].statistics.views.shape == (watched[-1].gaussians.num_gaussians,)
 
