@@ -10,7 +10,6 @@ from scipy import ndimage
 from gsjax.effects.blur import photos_to_leave_out
 from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.observations import edge_width, observe
-from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import look_for_effects
 from gsjax.scene import with_pixels
 
@@ -83,19 +82,3 @@ def test_an_ideal_edge_under_a_blur_is_so_wide(sigma, width):
     blurred = ndimage.gaussian_filter1d(stripes, sigma, axis=1)
     assert edge_width(blurred, usable) == pytest.approx(width, rel=0.06)
     assert edge_width(stripes, ~usable) == 0 and edge_width(np.zeros((40, 40), np.float32), usable[:40, :40]) == 0
-
-
-@pytest.mark.parametrize(
-    "name", ["fern", *(pytest.param(name, marks=pytest.mark.long) for name in ("fox", "kitchen", "bunny_plane"))]
-)
-def test_photos_that_are_all_blurred_are_named_and_sharp_ones_are_not(shared, name):
-    scene = load_scene(shared / "data" / name)
-    scene = replace(scene, frames=scene.frames[::4])
-    assert not diagnose(scene).effects["blur"].on
-
-    def soft(frame):
-        image = ndimage.gaussian_filter(frame.pixels().image, (2, 2, 0))
-        return with_pixels(frame, frame.pixels()._replace(image=image))
-
-    blur = diagnose(replace(scene, frames=tuple(map(soft, scene.frames)))).effects["blur"]
-    assert blur.on and "all photos are blurred" in blur.note

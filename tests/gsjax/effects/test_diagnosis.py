@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from photographed_wall import gains, radii2, relit, wall
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from small_scenes import built_in
 
@@ -21,6 +22,7 @@ from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.diagnose import apart_line
 from gsjax.runs.result import frame_camera
+from gsjax.scene import with_pixels
 from gsjax.scene.cameras import pixel_rays
 from gsjax.settings import EFFECTS
 
@@ -183,31 +185,27 @@ def test_the_built_in_scene_gives_back_what_was_injected(scene_folder, exposure,
     ],
 )
 def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetting):
-    effects = diagnose(load_scene(shared / "data" / name)).effects
+    scene = load_scene(shared / "data" / name)
+    effects = diagnose(scene).effects
     assert effects["exposure"].value == pytest.approx(exposure, abs=0.05)
     assert effects["exposure"].on == (exposure > 0.1)
     assert effects["vignetting"].on == vignetting
     assert "changes over time" not in effects["vignetting"].note
-    assert not effects["sky"].on
+    assert not effects["sky"].on and not effects["blur"].on
+
+    def soft(frame):
+        image = ndimage.gaussian_filter(frame.pixels().image, (2, 2, 0))
+        return with_pixels(frame, frame.pixels()._replace(image=image))
+
+    blur = diagnose(replace(scene, frames=tuple(map(soft, scene.frames[::4])))).effects["blur"]
+    assert blur.on and "all photos are blurred" in blur.note
 
 
-def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder, tmp_path, capsys):
-    target = tmp_path / "out" / "found.json"
-    assert cli.main(["diagnose", str(scene_folder), "--json", str(target)]) == 0
-    *printed, empty, apart = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in printed] == ["effect", *EFFECTS] and not empty
-    record = json.loads(target.read_text())
-    assert apart == apart_line(record["apart"])
-    assert list(record["effects"]) == list(EFFECTS)
-    assert len(record["photos"]) == 16
-    assert read_image(target.with_suffix(".png"))[0].std() > 10
-    assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2
-    assert "must end in .json" in capsys.readouterr().err
-
-
-def test_maps_of_normals_are_judged_by_whether_photos_agree(scene_folder, tmp_path, capsys):
-    """True ones are kept; those that face their cameras everywhere look plausible, and say nothing."""
-    copied = Path(shutil.copytree(scene_folder, tmp_path / "scene"))
+def test_the_command_prints_the_table_writes_file_and_pictures_and_judges_maps_of_normals(
+    scene_folder, tmp_path, capsys
+):
+    """True maps are kept; those that face their cameras everywhere look plausible, and say nothing."""
+    copied, target = Path(shutil.copytree(scene_folder, tmp_path / "scene")), tmp_path / "out" / "found.json"
     scene = load_scene(copied)
     for name in ("true", "facing"):
         folder = copied / f"normals_{name}"
@@ -217,9 +215,17 @@ def test_maps_of_normals_are_judged_by_whether_photos_agree(scene_folder, tmp_pa
             facing = -np.asarray(pixel_rays(frame_camera(frame)))
             normals = scene.truth.normals[frame.name]() if name == "true" else facing
             normal_folders.add(folder, manifest, frame.name, Path(frame.name).with_suffix(".npz"), normals, {})
-    assert cli.main(["diagnose", str(copied), "--json", str(tmp_path / "found.json")]) == 0
-    rows = [line.split()[:2] for line in capsys.readouterr().out.splitlines()[-3:]]
-    assert rows == [["normals", "decision"], ["normals_facing", "rejected"], ["normals_true", "kept"]]
-    verdicts = json.loads((tmp_path / "found.json").read_text())["normals"]
+    assert cli.main(["diagnose", str(copied), "--json", str(target)]) == 0
+    *printed, head, facing_row, true_row = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [words[0] for words in printed[: len(EFFECTS) + 1]] == ["effect", *EFFECTS]
+    assert head[:2] == ["normals", "decision"]
+    assert (facing_row[:2], true_row[:2]) == (["normals_facing", "rejected"], ["normals_true", "kept"])
+    record = json.loads(target.read_text())
+    assert apart_line(record["apart"]).split() in printed
+    assert list(record["effects"]) == list(EFFECTS) and len(record["photos"]) == 16
+    verdicts = record["normals"]
     assert verdicts["normals_true"]["share"] > 0.95 and verdicts["normals_facing"]["share"] == 0
     assert all(photo["kept"] > 0.8 for photo in verdicts["normals_true"]["photos"].values())
+    assert read_image(target.with_suffix(".png"))[0].std() > 10
+    assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2
+    assert "must end in .json" in capsys.readouterr().err

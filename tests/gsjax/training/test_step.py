@@ -71,9 +71,13 @@ def assert_identical(actual, expected):
     jax.tree.map(np.testing.assert_array_equal, actual, expected)
 
 
-def moments(state, field):
-    leaves = jax.tree.flatten_with_path(state.opt_state)[0]
-    return [np.asarray(leaf) for path, leaf in leaves if jax.tree_util.keystr(path).endswith(f".{field}")]
+def moments_of_both(before, after):
+    """(field, moment before, moment after) of all moments of the optimizer."""
+    leaves = [jax.tree.flatten_with_path(state.opt_state)[0] for state in (before, after)]
+    for (path, old), (_, new) in zip(*leaves, strict=True):
+        field = jax.tree_util.keystr(path).rpartition(".")[2]
+        if field in FIELDS:
+            yield field, np.asarray(old), np.asarray(new)
 
 
 @contextmanager
@@ -205,10 +209,9 @@ def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
     assert int(count_alive(after.gaussians)) == CAPACITY
     assert set(source[ALIVE:]) == set(np.argsort(mean_gradient)[-20:])
     assert 0 < fresh[:ALIVE].sum() < 20  # those split; a cloned original goes on
-    for field in FIELDS:
-        for old, new in zip(moments(before, field), moments(after, field), strict=True):
-            np.testing.assert_array_equal(new[~fresh], old[source[~fresh]])
-            assert not new[fresh].any()
+    for _, old, new in moments_of_both(before, after):
+        np.testing.assert_array_equal(new[~fresh], old[source[~fresh]])
+        assert not new[fresh].any()
     assert not np.any(after.statistics.views) and not np.any(after.statistics.gradient)
     assert int(after.step) == 3
 
@@ -219,10 +222,9 @@ def test_a_reset_forgets_the_moments_of_opacities_only(setup):
     after = reset_opacities(state, optimizer=OPTIMIZER, limit=0.01)
     assert_close(opacities(after.gaussians), np.minimum(opacities(before.gaussians), np.float32(0.01)))
     assert int(count_alive(after.gaussians)) == ALIVE
-    for field in FIELDS:
-        for old, new in zip(moments(before, field), moments(after, field), strict=True):
-            assert old.any()
-            np.testing.assert_array_equal(new, np.zeros_like(old) if field == "logit_opacities" else old)
+    for field, old, new in moments_of_both(before, after):
+        assert old.any()
+        np.testing.assert_array_equal(new, np.zeros_like(old) if field == "logit_opacities" else old)
     integers = [[int(x) for x in jax.tree.leaves(s.opt_state) if x.dtype == np.int32] for s in (before, after)]
     assert integers[0] == integers[1] and set(integers[0]) == {3}
 
@@ -239,8 +241,8 @@ def test_a_cull_kills_the_faint_and_leaves_the_others(setup):
         np.testing.assert_array_equal(
             np.asarray(getattr(after.gaussians, field))[~faint], getattr(before.gaussians, field)[~faint]
         )
-        for old, new in zip(moments(before, field), moments(after, field), strict=True):
-            np.testing.assert_array_equal(new, np.where(faint.reshape(-1, *[1] * (old.ndim - 1)), 0, old))
+    for _, old, new in moments_of_both(before, after):
+        np.testing.assert_array_equal(new, np.where(faint.reshape(-1, *[1] * (old.ndim - 1)), 0, old))
 
 
 def test_the_capacity_holds_every_view_with_headroom(setup):
