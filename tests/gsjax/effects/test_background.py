@@ -40,7 +40,7 @@ def test_a_sky_is_a_function_of_the_direction_in_the_world():
     coefficients[1:4] = np.random.default_rng(0).normal(size=(3, 3)) * 0.1
     x, y, z = np.moveaxis(rays(CAMERA), -1, 0)[..., None]
     expected = np.array([0.2, 0.5, 0.9]) + C1 * (-y * coefficients[1] + z * coefficients[2] - x * coefficients[3])
-    colors = backdrop.color_behind(jnp.asarray(coefficients), CAMERA)
+    colors = jax.jit(backdrop.color_behind)(coefficients, CAMERA)
     assert_close(colors, np.float32(expected), atol=1e-6, rtol=0, why="sums of single numbers")
     color = jnp.array([0.1, 0.2, 0.3])
     assert backdrop.color_behind(color, CAMERA) is color

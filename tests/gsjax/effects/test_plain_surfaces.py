@@ -23,7 +23,6 @@ def photographed(name):
 
 
 SHORT = {
-    "white ceiling under a lamp",
     "bare walls over a dado, window",
     "a shaded studio",
     "a yard, blue",

@@ -128,7 +128,7 @@ def test_only_what_hangs_in_the_air_lies_in_the_sky(sky_scene):
 def test_the_background_begins_with_the_colours_of_the_sky(sky_scene):
     scene, truth, masks = sky_scene
     coefficients = background.initial(observe(scene), masks)
-    sky_colors = np.asarray(backdrop.color_behind(coefficients, frame_camera(scene.frames[0])))
+    sky_colors = np.asarray(jax.jit(backdrop.color_behind)(coefficients, frame_camera(scene.frames[0])))
     image = scene.frames[0].pixels().image / 255
     assert np.abs(sky_colors - image)[truth["00.png"]].mean() < 0.03  # its clouds are no harmonics
 

@@ -8,7 +8,6 @@ from photographed_wall import wall
 
 from gsjax.planning import stereo_supervision as module
 from gsjax.planning.stereo_supervision import stereo_supervision
-from gsjax.presets import PRESETS
 from gsjax.settings import Schedule, Settings, Supervision
 from gsjax.stereo import PhotoDepths, StereoMap, write_stereo_maps
 from gsjax.training.plan import plan
@@ -76,13 +75,6 @@ def test_a_resumed_run_reads_its_own_maps_or_has_none_and_compares_nothing(swept
     supervision = stereo_supervision(SCENE, ASKED, tmp_path)
     assert not swept and list(supervision.maps) == list(MAPS)
     np.testing.assert_array_equal(supervision.maps[SCENE.frames[0].name].depth, DEPTH)
-
-
-def test_presets_for_photos_ask_for_it_but_for_the_quickest():
-    weights = {name: preset.get("supervision", {}).get("stereo_weight", 0) for name, preset in PRESETS.items()}
-    points = {name: preset.get("model", {}).get("stereo_points", 0) for name, preset in PRESETS.items()}
-    for given in (weights, points):
-        assert {name for name, value in given.items() if value} == {"fast", "balanced", "accurate"}
 
 
 def test_the_term_of_depth_is_in_every_phase_until_there_is_no_depth():

@@ -43,33 +43,21 @@ def test_axes_follow_the_points_around_however_the_world_is_turned():
     assert_close(np.abs(np.einsum("ij,njk,nik->nk", turn.astype(np.float32), here, there)), np.ones((60, 3)))
 
 
-def test_rows_beyond_the_points_are_dead_and_everything_is_float32():
+def test_rows_beyond_the_points_are_dead_and_too_many_points_are_thinned_over_their_whole_length():
     gaussians = from_points(POINTS, COLORS, capacity=32, sh_degree=1)
     assert {leaf.dtype for leaf in jax.tree.leaves(gaussians)} == {jnp.dtype("float32")}
     assert {leaf.shape[0] for leaf in jax.tree.leaves(gaussians)} == {32}
     assert_close(gaussians.logit_opacities[20:], np.full(12, DEAD_LOGIT))
     assert bool((gaussians.logit_opacities[:20] > -5).all())
-
-
-def test_too_many_points_are_thinned_over_their_whole_length():
-    gaussians = from_points(POINTS, COLORS, capacity=5, sh_degree=0)
-    rows = [0, 4, 9, 14, 19]
+    gaussians, rows = from_points(POINTS, COLORS, capacity=5, sh_degree=0), [0, 4, 9, 14, 19]
     assert_close(gaussians.means, POINTS[rows])
     assert_close(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, COLORS[rows] / 255)
 
 
-@pytest.mark.parametrize(
-    ("points", "expected"),
-    [
-        ([[1.0, 2, 3]], 0.01),
-        ([[0.0, 0, 0], [0, 0, 2]], 2.0),
-        ([[1.0, 1, 1]] * 6, np.sqrt(1e-7)),
-    ],
-    ids=["one", "two", "coincident"],
-)
-def test_few_or_coincident_points_get_a_usable_scale(points, expected):
-    gaussians = from_points(np.array(points), np.zeros((len(points), 3)), capacity=len(points), sh_degree=0)
-    assert_close(scales(gaussians), np.full((len(points), 3), expected))
+def test_few_or_coincident_points_get_a_usable_scale():
+    for points, expected in (([[1.0, 2, 3]], 0.01), ([[0.0, 0, 0], [0, 0, 2]], 2.0), ([[1.0, 1, 1]] * 6, 1e-7**0.5)):
+        gaussians = from_points(np.array(points), np.zeros((len(points), 3)), capacity=len(points), sh_degree=0)
+        assert_close(scales(gaussians), np.full((len(points), 3), expected))
 
 
 def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it():

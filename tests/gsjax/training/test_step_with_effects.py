@@ -147,11 +147,10 @@ def test_cameras_go_where_their_photos_were_taken(learned, retaken):
 
 def test_the_sky_is_learned_where_it_is_open(learned, retaken):
     """Gains that are a little off make up for a sky that is: as the mean photo has it."""
-    pictures = list(gallery.pictures(cloud(200, seed=5), CAMERAS, np.zeros(3)))
+    color_behind = jax.jit(backdrop.color_behind)
+    pictures = gallery.pictures(cloud(200, seed=5), CAMERAS, np.zeros(3))
     for camera, picture in zip(CAMERAS, pictures, strict=True):
-        sky, learned_sky = (
-            np.asarray(backdrop.color_behind(jnp.asarray(each), camera)) for each in (SKY, learned["background"])
-        )
+        sky, learned_sky = (np.asarray(color_behind(each, camera)) for each in (SKY, learned["background"]))
         assert np.abs((1 - picture.alphas)[..., None] * (learned_sky - sky)).mean() < 0.02
 
 
