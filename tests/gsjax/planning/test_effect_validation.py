@@ -173,9 +173,9 @@ def test_effects_are_selected_one_after_the_other():
         return Validated(float(with_effect[0] - without[0]), 0.01)
 
     verdicts = select(tuple(worth), predict, compare)
-    taken = "exposure", "background"
-    assert requests == [(), ("exposure",), ("exposure", "vignetting"), taken, (*taken, "transients")]
-    assert {name: each.passes for name, each in verdicts.items()} == {name: name in taken for name in worth}
+    useful = "exposure", "background"
+    assert requests == [(), ("exposure",), ("exposure", "vignetting"), useful, (*useful, "transients")]
+    assert {name: each.passes for name, each in verdicts.items()} == {name: name in useful for name in worth}
 
 
 def test_both_variants_are_scored_on_the_same_pixels():

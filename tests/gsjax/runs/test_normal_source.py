@@ -173,8 +173,8 @@ def test_stereo_normals_serve_where_no_maps_are_given_or_these_are_rejected(tilt
     assert not lines, "stereo normals are not filtered"
     assert_close(source.shares_compared(FRAMES), np.ones(3))
     source = NormalSource(tmp_path / "run", foreign((1, 0, 0), (1, 1, 1)), "+x+y+z", FRAMES, **how)
-    given = np.broadcast_to(np.int8([127, 0, 0]), whole.shape)
-    np.testing.assert_array_equal(source(tilted, FRAMES), [whole, given, given])
+    map_normals = np.broadcast_to(np.int8([127, 0, 0]), whole.shape)
+    np.testing.assert_array_equal(source(tilted, FRAMES), [whole, map_normals, map_normals])
     assert lines == ["no normal has weight; rejected photos take stereo normals"]
 
 

@@ -74,9 +74,8 @@ def test_training_pictures_are_empty_where_photos_are_masked(run):
 def test_depth_is_what_it_was_in_training(run):
     """Center in a run of before there was a choice."""
     gaussians = open_result(run).gaussians
-    for written, mode in ((None, "center"), ("plane", "plane")):
-        if written:
-            json_files.write(run / "config.json", {"model": {"background": "white", "depth_mode": written}})
+    for model, mode in (({}, "center"), ({"depth_mode": "plane"}, "plane")):
+        json_files.write(run / "config.json", {"model": {"background": "white"} | model})
         result = open_result(run)
         depth = list(training_pictures(result, result.gaussians, result.background)[1])[1].depth
         (expected,) = gallery.pictures(gaussians, [CAMERAS[2]], np.ones(3), mode)
