@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from photographed_wall import gains, radii2, relit, wall
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from small_scenes import built_in
 
 from gsjax import cli
 from gsjax.effects.diagnosis import diagnose
-from gsjax.effects.exposure import estimate
 from gsjax.effects.observations import observe
 from gsjax.effects.photo_gains import fit, table
 from gsjax.effects.poses import Move, twists_from_tracks
@@ -22,21 +22,11 @@ from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.diagnose import apart_line
 from gsjax.runs.result import frame_camera
-from gsjax.scene import Pixels, with_pixels
+from gsjax.scene import with_pixels
 from gsjax.scene.cameras import pixel_rays
 from gsjax.settings import EFFECTS
 
 FIELDS = ["on", "evidence", "unit", "noise", "threshold", "note", "is_certain"]
-
-
-def decisions(scene) -> set[str]:
-    return {name for name, evidence in diagnose(scene).effects.items() if evidence.on}
-
-
-def repainted(scene, change):
-    """The scene with the pixels of every photo replaced by `change(index, pixels)`."""
-    frames = (with_pixels(f, change(index, f.pixels())) for index, f in enumerate(scene.frames))
-    return replace(scene, frames=tuple(frames))
 
 
 def middle(frame) -> float:
@@ -53,7 +43,7 @@ def test_a_clean_scene_calls_for_nothing():
     assert record["effects"]["exposure"]["evidence"] < 0.01
 
 
-@pytest.mark.parametrize(("exposure", "balance"), [(0.1, 0.0), (0.3, 0.1), (0.0, 0.15)])
+@pytest.mark.parametrize(("exposure", "balance"), [(0.3, 0.1), (0.0, 0.15)])
 def test_gains_are_found_as_they_were_injected(exposure, balance):
     scene = wall()
     true = gains(scene, exposure, balance)
@@ -95,8 +85,8 @@ def test_a_fall_off_of_the_later_photos_alone_is_found_and_named():
     vignetting = diagnose(half).effects["vignetting"]
     assert vignetting.on and vignetting.value == pytest.approx(0.6, abs=0.06)
     assert "changes over time: earlier photos" in vignetting.note
-    for steady in (scene, relit(scene, lambda index, frame, x, y: -0.6 * radii2(frame, x, y))):
-        assert "changes over time" not in diagnose(steady).effects["vignetting"].note
+    steady = relit(scene, lambda index, frame, x, y: -0.6 * radii2(frame, x, y))
+    assert "changes over time" not in diagnose(steady).effects["vignetting"].note
 
 
 def test_the_robust_fit_is_the_least_squares_one_without_outliers():
@@ -129,29 +119,6 @@ def test_a_photo_that_few_tracks_tell_of_is_not_tinted():
     np.testing.assert_allclose(estimated_gains[:15] - estimated_gains[:15].mean(0), true, atol=0.02)
 
 
-def test_an_open_sky_is_seen_and_mattes_answer_it():
-    scene = wall()
-    tracks = scene.tracks()
-    low = tracks.rays[:, 1] > 0
-    lower = replace(tracks, photo=tracks.photo[low], point=tracks.point[low], rays=tracks.rays[low])
-
-    def sky(index, pixels):
-        image = pixels.image.copy()
-        image[:24] = 255
-        return Pixels(image)
-
-    outdoors = replace(repainted(scene, sky), tracks=lambda: lower)
-    background = diagnose(outdoors).effects["background"]
-    assert background.on
-    assert "1.00, 1.00, 1.00, the same in all photos; pure white" in background.note
-    flat = repainted(outdoors, lambda index, pixels: Pixels(np.where(pixels.image == 255, np.uint8(220), pixels.image)))
-    assert not diagnose(flat).effects["background"].on, "plaster looks the same"
-    matted = repainted(
-        outdoors, lambda index, pixels: pixels._replace(matte=np.full(pixels.image.shape[:2], 255, np.uint8))
-    )
-    assert not diagnose(matted).effects["background"].on
-
-
 def test_wrong_poses_show_against_the_tracks():
     scene = wall()
     rng = np.random.default_rng(2)
@@ -179,52 +146,24 @@ def test_what_cannot_be_judged_says_so():
     effects = diagnose(replace(wall(), tracks=None)).effects
     unknown = {"exposure", "vignetting", "background", "poses", "transients", "sky"}
     assert {name for name, evidence in effects.items() if evidence.value is None} == unknown
-    assert not any(effects[name].on for name in unknown)
-    assert all("cannot be judged" in effects[name].note for name in unknown)
+    assert all("cannot be judged" in effects[name].note and not effects[name].on for name in unknown)
 
 
-def flat(value):
-    return lambda index, pixels: Pixels(np.full_like(pixels.image, value))
-
-
-HARD = {
-    "all photos black": lambda scene: repainted(scene, flat(0)),
-    "all photos saturated": lambda scene: repainted(scene, flat(255)),
-    "all of one colour": lambda scene: repainted(scene, flat(128)),
-    "one photo black": lambda scene: repainted(scene, lambda i, p: flat(0)(i, p) if i == 3 else p),
-    "one photo": lambda scene: replace(scene, frames=scene.frames[:1]),
-    "nothing valid": lambda scene: repainted(
-        scene, lambda i, p: p._replace(valid=np.zeros(p.image.shape[:2], np.uint8))
-    ),
-    "no observation": lambda scene: replace(scene, tracks=lambda: replace(scene.tracks(), names=("other.png",) * 12)),
-}
-
-
-@pytest.mark.parametrize("name", HARD)
-def test_hard_cases_give_finite_numbers_and_no_alarm(name):
-    diagnosis = diagnose(HARD[name](wall()))
-    assert json.dumps(diagnosis.record(), allow_nan=False)
-    # One that differs from all others is blurred; all white and smooth is what a sky looks like.
-    assert {effect for effect, evidence in diagnosis.effects.items() if evidence.on} <= {"blur", "background"}
-
-
-def test_points_seen_once_or_twice_say_nothing():
+def test_points_seen_once_say_nothing():
     scene = wall()
     tracks = scene.tracks()
-    _, first, counts = np.unique(tracks.point, return_index=True, return_counts=True)
+    _, first = np.unique(tracks.point, return_index=True)
     once = replace(tracks, photo=tracks.photo[first], point=tracks.point[first], rays=tracks.rays[first])
-    assert counts.max() > 2
-    observations = observe(replace(scene, tracks=lambda: once))
-    assert estimate(observations) is None
+    assert len(first) < len(tracks.point) / 2
     assert diagnose(replace(scene, tracks=lambda: once)).effects["exposure"].value is None
 
 
 @pytest.fixture(scope="module")
 def scene_folder(tmp_path_factory):
-    return built_in(tmp_path_factory.mktemp("data") / "scene", num_views=12, size=(96, 96))
+    return built_in(tmp_path_factory.mktemp("data") / "scene", num_views=16, size=(64, 64))
 
 
-@pytest.mark.parametrize(("exposure", "corner"), [(0.0, 0.0), (0.3, 0.0), (0.3, -0.5)])
+@pytest.mark.parametrize(("exposure", "corner"), [(0.0, 0.0), (0.3, -0.5)])
 def test_the_built_in_scene_gives_back_what_was_injected(scene_folder, exposure, corner):
     scene = load_scene(scene_folder)
     true = gains(scene, exposure, exposure / 3)
@@ -232,7 +171,7 @@ def test_the_built_in_scene_gives_back_what_was_injected(scene_folder, exposure,
     assert diagnosis.effects["exposure"].on == (exposure > 0)
     assert diagnosis.effects["vignetting"].on == (corner < 0)
     error = diagnosis.gains.fit.gains - true
-    # Photos of 96 pixels: 0.03 EV come of edges that the window mixes and of the noise of the points.
+    # Photos of 64 pixels: 0.03 EV come of edges that the window mixes and of the noise of the points.
     assert np.sqrt(np.square(error - error.mean(0)).mean()) < 0.06
 
 
@@ -246,31 +185,27 @@ def test_the_built_in_scene_gives_back_what_was_injected(scene_folder, exposure,
     ],
 )
 def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetting):
-    effects = diagnose(load_scene(shared / "data" / name)).effects
+    scene = load_scene(shared / "data" / name)
+    effects = diagnose(scene).effects
     assert effects["exposure"].value == pytest.approx(exposure, abs=0.05)
     assert effects["exposure"].on == (exposure > 0.1)
     assert effects["vignetting"].on == vignetting
     assert "changes over time" not in effects["vignetting"].note
-    assert not effects["sky"].on
+    assert not effects["sky"].on and not effects["blur"].on
+
+    def soft(frame):
+        image = ndimage.gaussian_filter(frame.pixels().image, (2, 2, 0))
+        return with_pixels(frame, frame.pixels()._replace(image=image))
+
+    blur = diagnose(replace(scene, frames=tuple(map(soft, scene.frames[::4])))).effects["blur"]
+    assert blur.on and "all photos are blurred" in blur.note
 
 
-def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder, tmp_path, capsys):
-    target = tmp_path / "out" / "found.json"
-    assert cli.main(["diagnose", str(scene_folder), "--json", str(target)]) == 0
-    *printed, empty, apart = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in printed] == ["effect", *EFFECTS] and not empty
-    record = json.loads(target.read_text())
-    assert apart == apart_line(record["apart"])
-    assert list(record["effects"]) == list(EFFECTS)
-    assert len(record["photos"]) == 12
-    assert read_image(target.with_suffix(".png"))[0].std() > 10
-    assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2
-    assert "must end in .json" in capsys.readouterr().err
-
-
-def test_maps_of_normals_are_judged_by_whether_photos_agree(scene_folder, tmp_path, capsys):
-    """True ones are kept; those that face their cameras everywhere look plausible, and say nothing."""
-    copied = Path(shutil.copytree(scene_folder, tmp_path / "scene"))
+def test_the_command_prints_the_table_writes_file_and_pictures_and_judges_maps_of_normals(
+    scene_folder, tmp_path, capsys
+):
+    """True maps are kept; those that face their cameras everywhere look plausible, and say nothing."""
+    copied, target = Path(shutil.copytree(scene_folder, tmp_path / "scene")), tmp_path / "out" / "found.json"
     scene = load_scene(copied)
     for name in ("true", "facing"):
         folder = copied / f"normals_{name}"
@@ -280,9 +215,17 @@ def test_maps_of_normals_are_judged_by_whether_photos_agree(scene_folder, tmp_pa
             facing = -np.asarray(pixel_rays(frame_camera(frame)))
             normals = scene.truth.normals[frame.name]() if name == "true" else facing
             normal_folders.add(folder, manifest, frame.name, Path(frame.name).with_suffix(".npz"), normals, {})
-    assert cli.main(["diagnose", str(copied), "--json", str(tmp_path / "found.json")]) == 0
-    rows = [line.split()[:2] for line in capsys.readouterr().out.splitlines()[-3:]]
-    assert rows == [["normals", "decision"], ["normals_facing", "rejected"], ["normals_true", "kept"]]
-    verdicts = json.loads((tmp_path / "found.json").read_text())["normals"]
+    assert cli.main(["diagnose", str(copied), "--json", str(target)]) == 0
+    *printed, head, facing_row, true_row = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [words[0] for words in printed[: len(EFFECTS) + 1]] == ["effect", *EFFECTS]
+    assert head[:2] == ["normals", "decision"]
+    assert (facing_row[:2], true_row[:2]) == (["normals_facing", "rejected"], ["normals_true", "kept"])
+    record = json.loads(target.read_text())
+    assert apart_line(record["apart"]).split() in printed
+    assert list(record["effects"]) == list(EFFECTS) and len(record["photos"]) == 16
+    verdicts = record["normals"]
     assert verdicts["normals_true"]["share"] > 0.95 and verdicts["normals_facing"]["share"] == 0
     assert all(photo["kept"] > 0.8 for photo in verdicts["normals_true"]["photos"].values())
+    assert read_image(target.with_suffix(".png"))[0].std() > 10
+    assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2
+    assert "must end in .json" in capsys.readouterr().err

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 from plain_places import DOUBTFUL, GLASS, ROOMS, SKIES, ceiling, room
 from plain_scenes import photograph, plaster
-from tolerances import assert_close
 
 from gsjax.effects import parallax, sky
 from gsjax.effects.diagnosis import diagnose
-from gsjax.effects.observations import observe
 from gsjax.planning.effects import choose_effects
 from gsjax.scene import with_pixels
 from gsjax.settings import Settings
@@ -25,12 +23,9 @@ def photographed(name):
 
 
 SHORT = {
-    "white ceiling under a lamp",
     "bare walls over a dado, window",
     "a shaded studio",
-    "a corridor",
     "a yard, blue",
-    "a street, overcast",
     "a low glass front under clouds",
     "a yard, flat grey",
     "a high glass front",
@@ -70,7 +65,6 @@ def test_where_nothing_tells_a_sky_from_plaster_no_surface_is_taken_away(name):
 
 def test_who_names_the_sky_gets_what_looks_like_one_though_evidence_is_missing():
     scene, truth = photographed("a yard, flat grey")
-    assert not choose_effects("auto", plan(Settings()), scene).skies
     named = choose_effects("none", plan(Settings()), scene, with_sky=True).skies
     for frame, is_sky in zip(scene.frames, truth, strict=True):
         assert (named[frame.name] & is_sky).sum() > 0.8 * is_sky.sum()
@@ -90,24 +84,9 @@ def test_a_fall_off_of_the_lens_on_a_flat_ceiling_is_no_sky():
 
 @pytest.mark.parametrize(
     ("near", "blueness", "blue_range", "is_sky"),
-    [
-        (1.04, 0.95, 0.56, True),
-        (0.97, 0.95, 0.56, False),
-        (1.04, 0.95, 0.08, False),
-        (1.04, 0.59, 0.56, False),
-        (1.04, 0.0, 0.0, False),
-    ],
-    ids=["a castle's sky", "a wall explains it better", "a blue of one colour", "a pale blue", "white plaster"],
+    [(1.04, 0.95, 0.56, True), (0.97, 0.95, 0.56, False), (1.04, 0.95, 0.08, False), (1.04, 0.59, 0.56, False)],
+    ids=["a castle's sky", "a wall explains it better", "a blue of one colour", "a pale blue"],
 )
 def test_a_vivid_blue_is_a_sky_to_photos_of_nearly_one_place(near, blueness, blue_range, is_sky):
     compared = parallax.Parallax(near, 0.78, 3.21, 0.1, blueness, blue_range)
     assert (sky.score(compared) > 1.2) == is_sky
-
-
-def test_the_ceiling_of_a_box_is_met_where_its_height_says():
-    observations = observe(photographed("white ceiling under a lamp")[0])
-    (ceiling_alone,) = parallax._boxes(observations, np.array([0.0, 0, 1]), (), (0.0,))
-    eye, rays = np.array([0.3, -0.2, 1.0]), np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8]])
-    top = np.quantile(observations.points[:, 2], 0.98)
-    heights = ceiling_alone(eye, rays) * rays[:, 2] + eye[2]
-    assert_close(heights, np.full(2, top), rtol=0.04, atol=0, why="a margin of the box")

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from small_scenes import camera_at, cloud, photographed
+from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 from gsjax.effects import poses
@@ -13,6 +13,7 @@ from gsjax.effects.alignment import align
 from gsjax.effects.camera_twists import apply_twist, gauge
 from gsjax.effects.poses import Move
 from gsjax.rendering import gallery
+from gsjax.scene import Pixels, frame_of
 from gsjax.scene.cameras import Camera, center, project, world_to_camera
 
 CAMERA = camera_at((0.4, -0.3, 0.2), (0.0, 0.1, 4.0), size=(32, 24))
@@ -101,23 +102,18 @@ def test_the_gauge_is_what_moves_all_cameras_with_the_world():
     assert np.linalg.norm(apart - fixed @ (fixed.T @ apart)) > 0.5 * np.linalg.norm(apart)
 
 
-@pytest.mark.parametrize(("count", "free"), [(1, 0), (2, 5), (3, 11)])
-def test_few_photos_have_the_freedom_that_is_theirs(count, free):
+@pytest.mark.parametrize(
+    ("centers", "free"), [(CENTERS[:1], 0), (CENTERS[:2], 5), (CENTERS[:3], 11), (np.ones((4, 3)), 18)]
+)
+def test_few_photos_and_cameras_in_one_place_have_the_freedom_that_is_theirs(centers, free):
     """Of one photo the pose is where the world is; of two, a turn and the direction between them."""
-    fixed = gauge(CENTERS[:count], 2.0)
+    count, fixed = len(centers), gauge(centers, 2.0)
     assert 6 * count - fixed.shape[1] == free
-    numbers = {"twists": jnp.asarray(np.random.default_rng(0).normal(size=(count, 6)), jnp.float32)}
-    used = poses.twists(numbers, fixed)
-    assert np.isfinite(used).all()
+    start = jnp.asarray(np.random.default_rng(0).normal(size=(count, 6)), jnp.float32)
+    used, gradient_of = jax.vjp(lambda numbers: poses.twists({"twists": numbers}, fixed), start)
+    assert np.isfinite(used).all() and np.isfinite(gradient_of(used)[0]).all()
     if not free:
         assert_close(used, np.zeros((1, 6), np.float32))
-
-
-def test_cameras_in_one_place_stay_finite():
-    fixed = gauge(np.ones((4, 3)), 1.0)
-    assert fixed.shape[1] == 6
-    slopes = jax.grad(lambda t: jnp.sum(poses.twists({"twists": t}, fixed) ** 2))(jnp.ones((4, 6), jnp.float32))
-    assert np.isfinite(slopes).all()
 
 
 def test_numbers_at_the_gauge_move_no_camera_and_get_no_gradient():
@@ -138,7 +134,7 @@ def test_numbers_at_the_gauge_move_no_camera_and_get_no_gradient():
     np.testing.assert_allclose(fixed.T @ slopes, 0, atol=1e-4)
 
 
-@pytest.mark.parametrize("size", [10.0, 1e10, 1e30])
+@pytest.mark.parametrize("size", [10.0, 1e30])
 def test_focal_lengths_stay_within_their_bounds(size):
     numbers = EFFECT.initial | {"log_focals": jnp.asarray([size, -size], jnp.float32)}
     for photo, factor in ((0, np.exp(poses.LIMIT)), (4, np.exp(-poses.LIMIT))):
@@ -153,7 +149,8 @@ def test_held_out_photos_keep_their_pose_and_share_their_cameras_focal_length():
     numbers = {"twists": jnp.asarray(0.01 * rng.normal(size=(5, 6)), jnp.float32), "log_focals": jnp.array([0.1, -0.1])}
     moves = poses.moves(numbers, centers, 2.0, trained, whose)
     assert moves[1] == Move((0, 0, 0), (0, 0, 0), pytest.approx(np.exp(0.1), rel=1e-6))
-    (frame,) = photographed(cloud(20), [CAMERA])
+    photo = Pixels(np.zeros((24, 32, 3), np.uint8))
+    frame = frame_of("0.png", np.asarray(CAMERA.viewmat), np.asarray(CAMERA.K), photo)
     same = camera_of(numbers, CAMERA, jnp.int32(2))  # The fourth photo is the third that is trained on.
     refined = moves[3].apply(frame)
     assert_close(refined.viewmat, np.asarray(same.viewmat))
@@ -173,11 +170,10 @@ def corners(camera):
     return (local @ np.asarray(camera.K).T)[:, :2] / local[:, 2:]
 
 
-@pytest.mark.parametrize("degrees", [0.1, 0.5])
-def test_a_photo_is_aligned_with_gaussians_as_they_are(draw, degrees):
+def test_a_photo_is_aligned_with_gaussians_as_they_are(draw):
     (picture,) = draw([CAMERA])
     turn, shift = np.array([0.6, -0.8, 0.3]), np.array([-0.5, 0.2, 0.4])
-    wrong = apply_twist(CAMERA, jnp.asarray(np.float32(np.radians(degrees) * np.append(turn, shift))), 4.0)
+    wrong = apply_twist(CAMERA, jnp.asarray(np.float32(np.radians(0.5) * np.append(turn, shift))), 4.0)
     estimate = align(wrong, picture.colors, np.ones((24, 32), bool), draw)
     right, before, after = (corners(camera) for camera in (CAMERA, wrong, estimate))
     assert np.abs(after - right).mean() < 0.05 * np.abs(before - right).mean()

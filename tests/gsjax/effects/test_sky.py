@@ -1,10 +1,13 @@
-"""A box on a lawn under a sky with soft clouds, seen from a circle, against the pixels that show that sky."""
+"""A box on a lawn under clouds, seen from a circle, against the pixels that show that sky."""
 
 import json
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
+from plain_places import cloudy, flat_white
+from plain_scenes import Box, Place, photograph, textured
 from tolerances import assert_close
 
 from gsjax.effects import background, sky
@@ -18,77 +21,28 @@ from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.start import first_state
 from gsjax.rendering import backdrop
 from gsjax.runs.records import read_views
-from gsjax.runs.result import write_views
-from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels
+from gsjax.runs.result import frame_camera, write_views
+from gsjax.scene import with_pixels
 from gsjax.scene.batches import decode, read_batches, with_skies
-from gsjax.scene.cameras import Camera, look_at
+from gsjax.scene.cameras import pixel_rays
 from gsjax.settings import EffectChoice, Model, Rates, Settings
 from gsjax.training.densification.gradient_driven import is_alive
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
 
-SIZE, FOCAL = (96, 72), 75.0
-HALF, HEIGHT = 2.0, 2.5  # of the box
 ANGLES = np.linspace(0, 2, 7)
+MIDDLE = (0.0, 0.0, 1.8)
 
 
-def camera_at(eye, target):
-    """A camera held upright, z up."""
-    K = np.array([[FOCAL, 0, SIZE[0] / 2], [0, FOCAL, SIZE[1] / 2], [0, 0, 1]], np.float32)
-    viewmat = look_at(np.asarray(eye, np.float64), np.asarray(target, np.float64), np.array([0.0, 0.0, 1.0]))
-    return Camera(viewmat.astype(np.float32), K, *SIZE)
-
-
-def rays_of(camera):
-    viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1) @ viewmat[:3, :3]
-    return -viewmat[:3, :3].T @ viewmat[:3, 3], rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-
-
-def distances(eye, rays, lawn):
-    """To the box and to the lawn, a square of so many metres; infinite where a ray meets neither."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        low, high = ((np.array(corner) - eye) / rays for corner in ((-HALF, -HALF, 0), (HALF, HALF, HEIGHT)))
-        near, far = np.minimum(low, high).max(-1), np.maximum(low, high).min(-1)
-        ground = -eye[2] / rays[..., 2]
-        box = np.where((near < far) & (near > 0), near, np.inf)
-    on_lawn = (ground > 0) & (np.abs(eye + ground[..., None] * rays)[..., :2] < lawn).all(-1)
-    return np.minimum(box, np.where(on_lawn, ground, np.inf))
-
-
-def seen_by(camera, lawn, plain):
-    """The photo, and which of its pixels show sky."""
-    eye, rays = rays_of(camera)
-    far = distances(eye, rays, lawn)
-    is_sky = ~np.isfinite(far)
-    x, y, z = np.moveaxis(eye + np.where(is_sky, 0, far)[..., None] * rays, -1, 0)
-    grain = np.sin(9 * x + 3 * z) * np.sin(8 * y - 7 * z)
-    surface = 0.45 + 0.3 * grain[..., None] * np.array([1, 0.8, 0.5])
-    u, v, w = np.moveaxis(rays, -1, 0)
-    above = np.stack([0.75 - 0.4 * w, 0.8 - 0.3 * w, 0.9 + 0 * w], -1)
-    above = above + 0.1 * np.tanh(np.sin(5 * u + w) + np.sin(6 * v))[..., None]
-    behind = np.ones(3) if plain else above
-    return np.rint(255 * np.clip(np.where(is_sky[..., None], behind, surface), 0, 1)).astype(np.uint8), is_sky
-
-
-def yard(tmp_path, *, lawn=60.0, plain=False, angles=ANGLES, lifted=0.0):
-    """The scene, and where its photos show sky by name; cameras look so much higher than the box's middle."""
-    frames, truth = [], {}
-    for index, angle in enumerate(angles):
-        eye = np.array([7 * np.cos(angle), 7 * np.sin(angle), 1.6])
-        camera = camera_at(eye, (0, 0, 1.8 + lifted))
-        image, truth[f"{index}.png"] = seen_by(camera, lawn, plain)
-        frames.append(frame_of(f"{index}.png", np.asarray(camera.viewmat), np.asarray(camera.K), Pixels(image)))
-    rng = np.random.default_rng(0)
-    walls = rng.uniform(-HALF, HALF, (600, 3))
-    walls[np.arange(600), rng.integers(0, 2, 600)] = HALF * rng.choice([-1, 1], 600)
-    walls[:, 2] = rng.uniform(0, HEIGHT, 600)
-    ground = np.concatenate([rng.uniform(-6, 6, (600, 2)), np.zeros((600, 1))], 1)
-    points = np.concatenate([walls, ground]).astype(np.float32)
-    tracks = Tracks(("0.png",), np.zeros(1, np.int32), np.zeros(1, np.int32), np.zeros((1, 2), np.float32))
-    return Scene(tmp_path, "colmap", tuple(frames), points, np.zeros((1200, 3), np.uint8), tracks=lambda: tracks), truth
+def yard(*, sky=cloudy, lawn=60.0, angles=ANGLES, target=MIDDLE, also=()):
+    """The scene, and where its photos show sky by name; `also`: targets of more photos from the first place."""
+    eyes = np.stack([7 * np.cos(angles), 7 * np.sin(angles), np.full(len(angles), 1.6)], 1)
+    ground = Box((-lawn, -lawn, -1), (lawn, lawn, 0), textured())
+    box = Box((-2, -2, 0), (2, 2, 2.5), textured())
+    eyes, targets = np.concatenate([eyes, *[eyes[:1] for _ in also]]), [target] * len(angles) + list(also)
+    scene, truth = photograph(Place((ground, box), eyes, np.array(targets), sky))
+    return scene, {frame.name: is_sky for frame, is_sky in zip(scene.frames, truth, strict=True)}
 
 
 def agreement(mask, truth):
@@ -96,8 +50,8 @@ def agreement(mask, truth):
 
 
 @pytest.fixture(scope="module")
-def sky_scene(tmp_path_factory):
-    scene, truth = yard(tmp_path_factory.mktemp("yard"))
+def sky_scene():
+    scene, truth = yard()
     return scene, truth, sky.find(observe(scene))
 
 
@@ -112,10 +66,11 @@ def test_the_sky_is_found_to_its_outline_and_nothing_else(sky_scene):
     assert evidence.on and evidence.note.split(";")[0] == f"sky in 7 of 7 photos, {100 * share:.0f} % of their pixels"
 
 
-def test_a_backdrop_that_goes_on_below_the_horizon_is_no_sky(tmp_path):
-    scene, truth = yard(tmp_path, lawn=3.0, plain=True)
+def test_a_backdrop_that_goes_on_below_the_horizon_is_no_sky_and_one_that_is_asked_for_is_one_line():
+    scene, truth = yard(lawn=3.0, sky=flat_white)
     assert all(mask.mean() > 0.2 for mask in truth.values())
-    assert not sky.find(observe(scene))
+    with pytest.raises(InputError, match="show no sky; --sky DIR takes masks of it"):
+        choose_effects("none", plan(Settings()), scene, with_sky=True)
 
 
 def test_an_even_wall_before_which_points_were_matched_is_no_sky(sky_scene):
@@ -125,21 +80,17 @@ def test_an_even_wall_before_which_points_were_matched_is_no_sky(sky_scene):
     assert not sky.find(observe(behind))
 
 
-def test_a_photo_of_nothing_but_sky_is_all_sky_where_others_tell(tmp_path, sky_scene):
-    scene, _, _ = sky_scene
-    up = camera_at((7, 0, 1.6), (-3, 0, 9))
-    image, truth = seen_by(up, 60.0, False)
-    assert truth.all()
-    frame = frame_of("up.png", np.asarray(up.viewmat), np.asarray(up.K), Pixels(image))
-    masks = sky.find(observe(replace(scene, frames=(*scene.frames, frame))))
-    assert masks["up.png"].mean() > 0.8
+def test_a_photo_of_nothing_but_sky_is_all_sky_where_others_tell():
+    scene, truth = yard(also=[(-3, 0, 9)])
+    assert truth["07.png"].all()
+    assert sky.find(observe(scene))["07.png"].mean() > 0.8
 
 
 def test_one_photo_no_points_and_mattes_tell_of_none(sky_scene):
     scene, _, _ = sky_scene
     assert not sky.find(observe(replace(scene, frames=scene.frames[:1])))
     assert not sky.find(observe(replace(scene, points=scene.points[:0], tracks=None)))
-    matte = np.full(SIZE[::-1], 255, np.uint8)
+    matte = np.full((90, 120), 255, np.uint8)
     cut_out = tuple(with_pixels(frame, frame.pixels()._replace(matte=matte)) for frame in scene.frames)
     observations = observe(replace(scene, frames=cut_out))
     assert not sky.find(observations) and not sky.judge_masks(observations, {}).on
@@ -147,23 +98,18 @@ def test_one_photo_no_points_and_mattes_tell_of_none(sky_scene):
 
 def test_what_is_masked_is_no_sky(sky_scene):
     scene, truth, masks = sky_scene
-    left = np.full(SIZE[::-1], 255, np.uint8)
-    left[:, : SIZE[0] // 3] = 0
+    left = np.full((90, 120), 255, np.uint8)
+    left[:, :40] = 0
     masked = tuple(with_pixels(frame, frame.pixels()._replace(valid=left)) for frame in scene.frames)
     for name, mask in sky.find(observe(replace(scene, frames=masked))).items():
         assert not mask[left == 0].any()
         assert agreement(mask, truth[name] & (left > 0)) > 0.85
 
 
-def test_up_is_found_by_cameras_that_look_up_one_way(tmp_path):
-    scene, _ = yard(tmp_path, angles=np.linspace(0, 0.5, 4), lifted=3.0)
-    assert_close(
-        sky.upwards(scene.frames),
-        np.array([0.0, 0.0, 1.0]),
-        atol=0.04,
-        rtol=0,
-        why="two degrees; their own mean is 25 off",
-    )
+def test_up_is_found_by_cameras_that_look_up_one_way():
+    scene, _ = yard(angles=np.linspace(0, 0.5, 4), target=(0.0, 0.0, 4.8))
+    up = sky.upwards(scene.frames)
+    assert_close(up, np.array([0.0, 0.0, 1.0]), atol=0.04, rtol=0, why="two degrees; their own mean is 25 off")
 
 
 def test_only_what_hangs_in_the_air_lies_in_the_sky(sky_scene):
@@ -175,37 +121,36 @@ def test_only_what_hangs_in_the_air_lies_in_the_sky(sky_scene):
     elsewhere = np.array([[np.nan, 0, 4], [0, 0, -500.0], [1e9, 1e9, -1e9]])
     assert not sky.lies_in(elsewhere, scene.frames, masks).any()
     assert not sky.lies_in(above, scene.frames, {}).any()
-    one_wrong = {"0.png": np.ones(SIZE[::-1], bool)}
+    one_wrong = {"00.png": np.ones((90, 120), bool)}
     assert not sky.lies_in(scene.points, scene.frames, one_wrong).any()
 
 
 def test_the_background_begins_with_the_colours_of_the_sky(sky_scene):
     scene, truth, masks = sky_scene
     coefficients = background.initial(observe(scene), masks)
-    camera = camera_at((7, 0, 1.6), (0, 0, 1.8))
-    sky_colors = np.asarray(backdrop.color_behind(coefficients, camera))
+    sky_colors = np.asarray(jax.jit(backdrop.color_behind)(coefficients, frame_camera(scene.frames[0])))
     image = scene.frames[0].pixels().image / 255
-    assert np.abs(sky_colors - image)[truth["0.png"]].mean() < 0.03  # its clouds are no harmonics
+    assert np.abs(sky_colors - image)[truth["00.png"]].mean() < 0.03  # its clouds are no harmonics
 
 
-def test_harmonics_are_fitted_exactly_where_colours_are_harmonics():
+def test_harmonics_are_fitted_exactly_where_colours_are_harmonics(sky_scene):
     expected = backdrop.constant_coefficients(np.array([0.5, 0.4, 0.6]), 2)
     expected[1:] = np.random.default_rng(4).normal(size=(8, 3)) * 0.05
-    camera = camera_at((0, 0, 0), (1, 0, 0))
-    _, rays = rays_of(camera)
-    colors = np.asarray(backdrop.color_behind(expected, camera))
+    camera = frame_camera(sky_scene[0].frames[0])
+    rays = np.asarray(pixel_rays(camera)) @ camera.viewmat[:3, :3]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    color_behind = jax.jit(lambda coefficients: backdrop.color_behind(coefficients, camera))
+    colors = np.asarray(color_behind(expected))
     coefficients = backdrop.fitted_coefficients(rays.reshape(-1, 3), colors.reshape(-1, 3), 2, ridge=1e-9)
-    assert_close(
-        np.asarray(backdrop.color_behind(coefficients, camera)), colors, atol=1e-3, rtol=0, why="a nearly flat ridge"
-    )
+    assert_close(np.asarray(color_behind(coefficients)), colors, atol=1e-3, rtol=0, why="a nearly flat ridge")
 
 
 def test_a_smaller_pixel_is_sky_where_all_of_it_is(sky_scene):
     scene, _, _ = sky_scene
-    mask = np.zeros(SIZE[::-1], bool)
+    mask = np.zeros((90, 120), bool)
     mask[:7, :5] = True
     views = with_skies(read_batches(scene.frames[:2], scale=2), [mask, None], 2)
-    expected = np.zeros((36, 48), bool)
+    expected = np.zeros((45, 60), bool)
     expected[:3, :2] = True
     sky_mask, bare = (target.sky for target in views.views)
     np.testing.assert_array_equal(sky_mask, expected)
@@ -214,27 +159,26 @@ def test_a_smaller_pixel_is_sky_where_all_of_it_is(sky_scene):
 
 
 @pytest.fixture
-def on_disk(tmp_path):
+def on_disk(tmp_path, sky_scene):
     """Two photos with a `transforms.json`, and `sky/` with a mask half as large of one of them."""
     frames = []
-    for index, eye in enumerate(((4.0, 0, 1), (0, 4.0, 1))):
-        camera = camera_at(eye, (0, 0, 1))
-        write_image(tmp_path / f"{index}.png", np.full((72, 96, 3), 90, np.uint8))
-        to_world = np.linalg.inv(np.asarray(camera.viewmat)) @ np.diag([1.0, -1, -1, 1])
-        frames.append({"file_path": f"{index}.png", "transform_matrix": to_world.tolist()})
-    record = {"w": 96, "h": 72, "fl_x": FOCAL, "fl_y": FOCAL, "cx": 48, "cy": 36, "frames": frames}
+    for frame in sky_scene[0].frames[:2]:
+        write_image(tmp_path / frame.name, frame.pixels().image)
+        to_world = np.linalg.inv(frame.viewmat) @ np.diag([1.0, -1, -1, 1])
+        frames.append({"file_path": frame.name, "transform_matrix": to_world.tolist()})
+    record = {"w": 120, "h": 90, "fl_x": 95.0, "fl_y": 95.0, "cx": 60, "cy": 45, "frames": frames}
     (tmp_path / "transforms.json").write_text(json.dumps(record))
-    half = np.full((36, 48), 255, np.uint8)
+    half = np.full((45, 60), 255, np.uint8)
     half[:10] = 0
-    write_image(tmp_path / "sky/0.png", half)
+    write_image(tmp_path / "sky/00.png", half)
     return tmp_path
 
 
 def test_masks_that_are_given_are_read_at_the_photos_size(on_disk):
     scene = load_scene(on_disk)
     masks = read_sky_masks(scene, "sky", None, 1.0)
-    assert masks is not None and list(masks) == ["0.png"]
-    np.testing.assert_array_equal(masks["0.png"], np.arange(72)[:, None].repeat(96, 1) < 20)
+    assert list(masks) == ["00.png"]
+    np.testing.assert_array_equal(masks["00.png"], np.arange(90)[:, None].repeat(120, 1) < 20)
     assert read_sky_masks(scene, None, None, 1.0) is None
     assert read_sky_masks(scene, "auto", None, 1.0) is None
 
@@ -243,13 +187,13 @@ def test_masks_that_are_given_are_read_at_the_photos_size(on_disk):
     ("folder", "shape", "fault"),
     [
         ("nowhere", None, "there is no such folder"),
-        ("sky", (36, 40), "mask is 40x36"),
-        ("sky", (72, 96), "is 0 anywhere"),
+        ("sky", (45, 50), "mask is 50x45"),
+        ("sky", (90, 120), "is 0 anywhere"),
     ],
 )
 def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
     if shape is not None:
-        write_image(on_disk / "sky/0.png", np.full(shape, 255, np.uint8))
+        write_image(on_disk / "sky/00.png", np.full(shape, 255, np.uint8))
     with pytest.raises(InputError, match=fault):
         read_sky_masks(load_scene(on_disk), folder, None, 1.0)
 
@@ -257,9 +201,10 @@ def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
 def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(sky_scene):
     scene, truth, masks = sky_scene
     settings = Settings(effects=EffectChoice(names="auto"), model=Model(far_points=200, max_gaussians=4000))
-    choice = choose_effects("auto", plan(settings), scene, with_sky=True)
+    choice = choose_effects("auto", plan(settings), scene, lambda *_: pytest.fail("nothing is in doubt"))
     assert choice.names == ("background", "sky") and choice.skies.keys() == masks.keys()
-    assert choice.evidence is not None and choice.evidence["simulated"] == ["background", "sky"]
+    assert choice.evidence["simulated"] == ["background", "sky"]
+    assert choice.evidence["evidence"]["sky"]["note"].startswith("simulated: certain without validation; ")
     optimizer = make_optimizer(Rates(), 1.0, 100)
     state = first_state(
         scene, settings.model, DENSIFICATION_RULES["adc"], optimizer, choice.effects, skies=choice.skies
@@ -267,19 +212,8 @@ def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(sky_scene)
     means = np.asarray(state.gaussians.means)[np.asarray(is_alive(state.gaussians))]
     assert len(scene.points) < len(means) < len(scene.points) + 200
     assert not sky.lies_in(means, scene.frames, masks).any()
-    mask_choice = choose_effects("none", plan(settings), scene, skies={"3.png": truth["3.png"]})
-    assert mask_choice.names == ("background", "sky") and list(mask_choice.skies) == ["3.png"]
-    assert choose_effects("none", plan(settings), scene).names == ()
-    certain = choose_effects("auto", plan(settings), scene, lambda *_: pytest.fail("nothing is in doubt"))
-    assert certain.names == choice.names
-    assert certain.evidence["evidence"]["sky"]["note"].startswith("simulated: certain without validation; ")
-    assert choose_effects("exposure", plan(settings), scene).names == ("exposure",)
-
-
-def test_a_sky_that_is_asked_for_and_is_not_there_is_one_line(tmp_path):
-    scene, _ = yard(tmp_path, lawn=3.0, plain=True)
-    with pytest.raises(InputError, match="show no sky; --sky DIR takes masks of it"):
-        choose_effects("none", plan(Settings()), scene, with_sky=True)
+    mask_choice = choose_effects("none", plan(settings), scene, skies={"03.png": truth["03.png"]})
+    assert mask_choice.names == ("background", "sky") and list(mask_choice.skies) == ["03.png"]
 
 
 def test_no_surface_is_looked_for_in_the_sky_of_a_run(sky_scene, tmp_path):

@@ -9,7 +9,7 @@ STREET = np.stack([np.linspace(0, 100, 61), RNG.uniform(-2, 2, 61)], axis=1)
 SQUARE = RNG.uniform(0, 1, (200, 2)) * (30, 20)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
+@pytest.mark.parametrize("count", [1, 2, 5])
 @pytest.mark.parametrize("places", [STREET, SQUARE])
 def test_cells_fill_space_once_and_have_as_many_cameras_each(places, count):
     cells = cut(places, count)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -10,6 +11,7 @@ from photographed_wall import gains as drawn_gains
 from photographed_wall import radii2, relit, wall
 from scipy.spatial.transform import Rotation
 from small_scenes import built_in
+from tolerances import assert_close
 
 from gsjax.config import parse
 from gsjax.effects import background, exposure, poses, transients, vignetting
@@ -119,8 +121,7 @@ def test_what_photos_differ_in_passes(tmp_path, effect):
 
 
 @pytest.mark.parametrize("name", ["quick", "fast", "balanced", "accurate"])
-@pytest.mark.parametrize("side", [160, 640, 1600])
-@pytest.mark.parametrize("count", [1, 2, 6])
+@pytest.mark.parametrize(("side", "count"), [(160, 1), (640, 6), (1600, 2)])
 def test_validation_takes_a_twentieth_of_the_run_or_100_steps_each(name, side, count):
     """By its pixels alone, 0.65 of a step's cost: what the Gaussians take comes on top, and is accounted for."""
     planned = plan(parse(Settings, PRESETS[name]))
@@ -134,14 +135,11 @@ def test_validation_takes_a_twentieth_of_the_run_or_100_steps_each(name, side, c
     assert (count + 1) * steps * 0.65 / scale**2 < 0.05 * whole
 
 
-def test_a_run_under_600_steps_is_not_validated():
-    frames = [photo(index, (1600, 1200)) for index in range(30)]
-
-    def steps(count):
-        return steps_of_each(plan(SETTINGS.replace(schedule={"phases": (Phase("vanilla", count),)})), frames, 1)
-
-    assert steps(599) is None
-    assert 100 <= steps(600) < steps(3000) <= 300
+@pytest.mark.parametrize(("whole", "least"), [(599, None), (600, 100), (3000, 101)])
+def test_a_run_under_600_steps_is_not_validated(whole, least):
+    planned = plan(SETTINGS.replace(schedule={"phases": (Phase("vanilla", whole),)}))
+    steps = steps_of_each(planned, [photo(index, (1600, 1200)) for index in range(30)], 1)
+    assert steps is None if least is None else least <= steps <= 300
 
 
 def test_every_pixel_is_held_out_in_one_of_four_consecutive_photos():
@@ -175,19 +173,9 @@ def test_effects_are_selected_one_after_the_other():
         return Validated(float(with_effect[0] - without[0]), 0.01)
 
     verdicts = select(tuple(worth), predict, compare)
-    assert requests == [
-        (),
-        ("exposure",),
-        ("exposure", "vignetting"),
-        ("exposure", "background"),
-        ("exposure", "background", "transients"),
-    ]
-    assert {name: each.passes for name, each in verdicts.items()} == {
-        "exposure": True,
-        "vignetting": False,
-        "background": True,
-        "transients": False,
-    }
+    useful = "exposure", "background"
+    assert requests == [(), ("exposure",), ("exposure", "vignetting"), useful, (*useful, "transients")]
+    assert {name: each.passes for name, each in verdicts.items()} == {name: name in useful for name in worth}
 
 
 def test_both_variants_are_scored_on_the_same_pixels():
@@ -202,20 +190,14 @@ def test_both_variants_are_scored_on_the_same_pixels():
     )
 
     def gain(without, with_it, targets=photos):
-        return compared(without, with_it, targets, whole, blocks)
+        return compared(without, with_it, targets, whole, blocks).gain
 
-    assert gain(worse, better).gain == pytest.approx(20 * np.log10(2), abs=1e-6)
-    assert gain([0.5 * p for p in worse], [1.7 * p for p in better]).gain == pytest.approx(20 * np.log10(2), abs=1e-3)
-    strangers = [p.copy() for p in photos]
-    for each in strangers:
-        each[:2, :4] = 1.0
-    assert gain(worse, better, strangers).gain == pytest.approx(20 * np.log10(2), abs=0.1)
-    lost = [p.copy() for p in better]
-    for each in lost:
-        each[:2, :4] += 0.4
-    assert gain(worse, lost).gain < -5
-    nothing = [np.zeros((20, 20), bool)] * 4
-    assert compared(worse, better, photos, nothing, blocks) == (0.0, 0.0)
+    expected, corner = 20 * np.log10(2), np.pad(np.ones((2, 4)), ((0, 18), (0, 16)))[..., None]
+    assert gain(worse, better) == pytest.approx(expected, abs=1e-6)
+    assert gain([0.5 * p for p in worse], [1.7 * p for p in better]) == pytest.approx(expected, abs=1e-3)
+    assert gain(worse, better, [np.maximum(p, corner) for p in photos]) == pytest.approx(expected, abs=0.1)
+    assert gain(worse, [p + 0.4 * corner for p in better]) < -5
+    assert compared(worse, better, photos, [~each for each in whole], blocks) == (0.0, 0.0)
 
 
 def test_an_effect_that_is_switched_off_changes_nothing_and_one_that_is_on_does():
@@ -223,25 +205,21 @@ def test_an_effect_that_is_switched_off_changes_nothing_and_one_that_is_on_does(
     image = jnp.full((16, 16, 3), 0.5)
     batch = Batch(camera, image, jnp.ones((16, 16), bool), None, None, jnp.int32(1))
     rate = optax.constant_schedule(1e-3)
-    light = [
-        exposure.make_effect(np.array([[0.3] * 3, [-0.3] * 3], np.float32), rate),
-        vignetting.make_effect(np.array([[-2.0, 0.0]]), np.zeros(2, int), rate),
-    ]
+    gains = np.array([[0.3] * 3, [-0.3] * 3], np.float32)
+    light = exposure.make_effect(gains, rate), vignetting.make_effect(np.array([[-2.0, 0.0]]), np.zeros(2, int), rate)
     for effect in light:
-        both = switchable(effect)
-        assert both.light is not None and both.camera is None and both.trusts is None
-        numbers = jnp.asarray(effect.initial)
-        assert jnp.array_equal(both.light((jnp.float32(0), numbers), image, batch), image)
-        changed = both.light((jnp.float32(1), numbers), image, batch)
-        assert jnp.array_equal(changed, effect.light(numbers, image, batch)) and not jnp.array_equal(changed, image)
+        both, numbers = switchable(effect), jnp.asarray(effect.initial)
+        assert both.camera is None and both.trusts is None
+        off, on = (jax.jit(both.light)((jnp.float32(switch), numbers), image, batch) for switch in (0, 1))
+        assert jnp.array_equal(off, image) and not jnp.array_equal(on, image)
+        assert_close(on, jax.jit(effect.light)(numbers, image, batch))
     moved = poses.make_effect(np.zeros((2, 3)), 1.0, np.zeros(2, int), 1, rate, np.full((2, 6), 0.1))
-    both = switchable(moved)
-    off = both.camera((jnp.float32(0), moved.initial), camera, jnp.int32(1))
+    off = jax.jit(switchable(moved).camera)((jnp.float32(0), moved.initial), camera, jnp.int32(1))
     assert jnp.array_equal(off.viewmat, camera.viewmat)
-    masks = switchable(transients.make_effect(rate))
-    trusted, added = masks.trusts((jnp.float32(0), jnp.float32(-9)), image + 0.3, batch)
+    masks = jax.jit(switchable(transients.make_effect(rate)).trusts)
+    trusted, added = masks((jnp.float32(0), jnp.float32(-9)), image + 0.3, batch)
     assert trusted.all() and added == 0
-    assert not masks.trusts((jnp.float32(1), jnp.float32(-9)), image + 0.3, batch)[0].any()
+    assert not masks((jnp.float32(1), jnp.float32(-9)), image + 0.3, batch)[0].any()
     sky = switchable(background.make_effect(np.zeros((1, 3)), rate))
     assert jnp.allclose(sky.behind((jnp.float32(0), jnp.zeros((1, 3))), camera), 0.5)
 
@@ -260,43 +238,29 @@ def test_evidence_proposes_and_validation_decides(gain, simulated, capsys):
     assert calls == [["exposure", "vignetting"]]
     assert set(choice.names) == {"exposure", "vignetting"} if simulated else {"exposure"}
     light, falloff = "exposure (+0.50 +-0.02 dB)", f"vignetting ({gain:+.2f} +-0.02 dB)"
-    line = f"effects: {light}, {falloff}" if simulated else f"effects: {light}; not simulated: {falloff}"
-    assert f"train: {line}\n" in capsys.readouterr().err
+    assert f"effects: {light}{', ' if simulated else '; not simulated: '}{falloff}\n" in capsys.readouterr().err
     record = choice.evidence
     assert record["validated"]["vignetting"] == {"gain": gain, "error": 0.02}
     assert record["evidence"]["vignetting"]["on"], "the evidence stays what it is"
-    decision = "simulated" if simulated else "not simulated"
-    note = f"{decision}: gains {gain:+.2f} +-0.02 dB in a validation run (needs 0.1); "
-    assert record["evidence"]["vignetting"]["note"].startswith(note)
-
     # What was decided once is not validated again.
     again = choose_effects("auto", plan(SETTINGS), photos, validate, before=record)
     assert again.names == choice.names and len(calls) == 1
-    assert {key: again.evidence[key] for key in ("simulated", "validated")} == {
-        key: record[key] for key in ("simulated", "validated")
-    }
+    assert all(again.evidence[key] == record[key] for key in ("simulated", "validated"))
 
 
 def test_without_validation_evidence_must_be_stronger_and_corners_are_left_alone(capsys):
-    def effect_names(scene):
-        return choose_effects("auto", plan(SETTINGS), scene).names
-
-    weak, strong = (
-        relit(wall(), lambda index, *_, size=size: drawn_gains(wall(), size)[index]) for size in (0.11, 0.3)
-    )
-    assert effect_names(weak) == () and "not simulated: exposure" in capsys.readouterr().err
-    assert effect_names(strong) == ("exposure",)
-    dark = relit(wall(), lambda index, frame, x, y: -1.0 * radii2(frame, x, y))
-    capsys.readouterr()
-    assert effect_names(dark) == () and "not simulated: vignetting" in capsys.readouterr().err
+    gains, dark = drawn_gains(wall(), 0.3), relit(wall(), lambda index, frame, x, y: -radii2(frame, x, y))
+    weak, strong = (relit(wall(), lambda index, *_, size=size: size * gains[index]) for size in (0.37, 1.0))
+    for scene, names, refused in ((weak, (), "exposure"), (strong, ("exposure",), None), (dark, (), "vignetting")):
+        assert choose_effects("auto", plan(SETTINGS), scene).names == names
+        assert refused is None or f"not simulated: {refused}" in capsys.readouterr().err
     assert choose_effects("vignetting", plan(SETTINGS), dark, lambda *_: {}).names == ("vignetting",)
 
 
 def test_a_users_own_effect_is_simulated_besides_and_learns():
     """Light of one factor for all photos: its number falls where photos are darker than the render."""
-    own = Effect(
-        np.float32(0), optax.constant_schedule(1e-2), light=lambda number, colors, batch: colors * jnp.exp(number)
-    )
+    rate = optax.constant_schedule(1e-2)
+    own = Effect(np.float32(0), rate, light=lambda number, colors, batch: colors * jnp.exp(number))
     choice = choose_effects("exposure", plan(SETTINGS), wall(6)).with_own({"dimmer": own})
     assert choice.names == ("exposure", "dimmer") and plan(SETTINGS).with_effects(choice.names).effects == choice.names
     state = initial_state(choice.effects)

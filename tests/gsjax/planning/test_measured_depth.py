@@ -68,7 +68,6 @@ def scene_of(root, frames, *, similarity=None, noise=0.0, millimetres=2000, coun
 def test_points_tell_what_a_metre_is(tmp_path, frames):
     scene = scene_of(tmp_path, frames)
     measured = measured_depth(scene, Supervision(depth="depth", depth_unit="mm"))
-    assert measured is not None
     assert "of 3 of 3 photos, in mm; 1 m is 0.5" in measured.line
     for (depth_map, trust), camera in zip(measured.depths(1), CAMERAS, strict=True):
         # A point is up to half a pixel from the pixel's centre, on a slanted wall.
@@ -81,22 +80,20 @@ def test_points_tell_what_a_metre_is(tmp_path, frames):
 def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path, frames):
     doubled = Similarity(2.0)  # of files in metres
     tracked = scene_of(tmp_path, frames, similarity=doubled, millimetres=500)
-    for scene, message in ((tracked, "the scene is in metres"), (replace(tracked, tracks=None), "no points tell the")):
-        measured = measured_depth(scene, Supervision(depth="depth", depth_unit="mm"))
-        assert measured is not None and message in measured.line
-        np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
+    bare, metres, unknown = replace(tracked, tracks=None), "the scene is in metres", "no points tell the"
+    for scene, unit, of_millimetres, message in (
+        (tracked, "mm", 1, metres),
+        (bare, "mm", 1, unknown),
+        (bare, "cm", 10, unknown),
+        (bare, "m", 1000, unknown),
+    ):
+        measured = measured_depth(scene, Supervision(depth="depth", depth_unit=unit))
+        assert message in measured.line
+        depth_map = next(iter(measured.depths(1)))[0]
+        np.testing.assert_allclose(depth_map, of_millimetres * true_depth(CAMERAS[0]), rtol=1e-5)
     placed = replace(tracked, place=Place(scale=3.0))  # a unit of the files is three metres
     own = measured_depth(placed, Supervision(depth="depth", depth_unit="scene"))
-    assert own is not None
     np.testing.assert_allclose(next(iter(own.depths(1)))[0], 2 * 3 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
-
-
-@pytest.mark.parametrize(("unit", "in_a_metre"), [("mm", 1000), ("cm", 100), ("m", 1)])
-def test_every_unit_is_as_long_as_its_name_says(tmp_path, frames, unit, in_a_metre):
-    in_metres = replace(scene_of(tmp_path, frames, millimetres=in_a_metre), tracks=None)
-    measured = measured_depth(in_metres, Supervision(depth="depth", depth_unit=unit))
-    assert measured is not None
-    np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
 
 
 def test_maps_of_something_else_are_refused(tmp_path, frames):
@@ -106,12 +103,9 @@ def test_maps_of_something_else_are_refused(tmp_path, frames):
 
 def test_the_term_is_in_every_phase_unless_a_phase_says_otherwise():
     phases = (Phase("a", 1), Phase("b", 1, Weights(measured_depth=0.7)), Phase("c", 1, Weights(measured_depth=0.0)))
-    weights = [
-        {each.name: each.weight for each in phase.terms}
-        for phase in plan(
-            Settings(supervision=Supervision(depth="depth", depth_weight=0.3), schedule=Schedule(phases=phases))
-        ).phases
-    ]
+    supervision = Supervision(depth="depth", depth_weight=0.3)
+    planned = plan(Settings(supervision=supervision, schedule=Schedule(phases=phases)))
+    weights = [{each.name: each.weight for each in phase.terms} for phase in planned.phases]
     assert [each.get("measured_depth") for each in weights] == [0.3, 0.7, None]
     with pytest.raises(InputError, match="phases.b.weights.measured_depth: needs measured depth, --depth DIR"):
         plan(Settings(schedule=Schedule(phases=phases)))
@@ -130,10 +124,9 @@ def rendered_error(gaussians):
 
 def test_training_comes_nearer_to_what_was_measured_than_without(frames):
     """From a wall that stands a twentieth too far; its photos have no texture. Without confidence there is no term."""
-    steps, trust = 60, np.full((24, 32), 255, np.uint8)
-    phase = Phase("all", steps, Weights(dssim=0.0))
+    trust = np.full((24, 32), 255, np.uint8)
     settings = Settings(
-        schedule=Schedule(phases=(phase,)),
+        schedule=Schedule(phases=(Phase("all", 60, Weights(dssim=0.0)),)),
         supervision=Supervision(depth="depth", depth_weight=1.0),
         model=Model(sh_degree=0),
         rates=Rates(means=0.01),
@@ -145,16 +138,9 @@ def test_training_comes_nearer_to_what_was_measured_than_without(frames):
         maps = [(true_depth(camera).astype(np.float32), confidence) for camera in CAMERAS]
         maps[0][0][:, :9] = 0.0
         maps[1][0][:, 9:12] = np.nan
-        final = fit(
-            settings,
-            frames,
-            1.0,
-            initial_state(jax.tree.map(jnp.copy, start), optimizer),
-            optimizer,
-            prior=lambda state: [],
-            observe=lambda progress: None,
-            depths=lambda scale, maps=maps: maps,
-        )
+        state = initial_state(jax.tree.map(jnp.copy, start), optimizer)
+        watch = {"prior": lambda state: [], "observe": lambda progress: None}
+        final = fit(settings, frames, 1.0, state, optimizer, depths=lambda scale, maps=maps: maps, **watch)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(final.gaussians))
         errors.append(rendered_error(final.gaussians))
     before = rendered_error(start)

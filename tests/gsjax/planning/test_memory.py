@@ -20,8 +20,7 @@ PLAN = plan(
         model=Model(max_gaussians=1_000_000),
     )
 )
-PHOTOS = 3 * 100 * PIXELS + MASKED * PIXELS
-NORMALS = 3 * 100 * PIXELS
+PHOTOS, NORMALS = 3 * 100 * PIXELS + MASKED * PIXELS, 3 * 100 * PIXELS
 GAUSSIANS = memory.A_ROW * 1_000_000
 STEP = memory.PROGRAMS + memory.A_PIXEL * PIXELS
 

@@ -22,9 +22,7 @@ def photo(width, height):
     ("sizes", "settings", "on_cpu", "expected"),
     [
         ([(1600, 1200), (900, 1600)], {}, True, 1.0),
-        ([(4000, 3000)], {}, False, 2.5),
         ([(800, 600), (3000, 4000)], {}, True, 2.5),  # the largest decides
-        ([(4000, 3000)], {"downscale": 1}, True, 1),
         ([(4000, 3000)], {"downscale": 4.5}, False, 4.5),
         ([(4000, 3000)], {"longest_side": 1000}, False, 4.0),
         ([(2000, 1000)], {"cpu_pixels": 125_000}, True, 4.0),
@@ -61,11 +59,8 @@ def test_a_phase_is_timed_once_after_its_first_steps(monkeypatch):
     clock = iter(np.arange(0, 1000, 0.25))
     monkeypatch.setattr(pace.time, "perf_counter", lambda: float(next(clock)))
     timer = Pace()
-    times = [
-        timer.seconds_per_step(phase)
-        for phase in plan(Settings(schedule=Schedule(phases=PHASES))).phases
-        for _ in range(30)
-    ]
+    phases = plan(Settings(schedule=Schedule(phases=PHASES))).phases
+    times = [timer.seconds_per_step(phase) for phase in phases for _ in range(30)]
     steps = [i for i, seconds in enumerate(times) if seconds is not None]
     assert steps == [pace.UNTIMED + pace.TIMED - 1 + 30 * phase for phase in range(3)]
     assert {times[i] for i in steps} == {0.25 / pace.TIMED}

@@ -8,7 +8,6 @@ from photographed_wall import wall
 
 from gsjax.planning import stereo_supervision as module
 from gsjax.planning.stereo_supervision import stereo_supervision
-from gsjax.presets import PRESETS
 from gsjax.settings import Schedule, Settings, Supervision
 from gsjax.stereo import PhotoDepths, StereoMap, write_stereo_maps
 from gsjax.training.plan import plan
@@ -65,33 +64,17 @@ def test_nothing_is_compared_where_nothing_asks_for_it(swept, settings):
     assert not swept and not supervision.maps and supervision.depths(SCENE.frames) is None
 
 
-def test_a_resumed_run_reads_its_own_maps_and_compares_nothing(swept, tmp_path):
-    write_stereo_maps(tmp_path, MAPS)
-    supervision = stereo_supervision(SCENE, ASKED, tmp_path)
-    assert not swept and list(supervision.maps) == list(MAPS)
-    np.testing.assert_array_equal(supervision.maps[SCENE.frames[0].name].depth, DEPTH)
-
-
-def test_a_resumed_run_without_maps_has_none(swept, tmp_path):
-    supervision = stereo_supervision(SCENE, ASKED, tmp_path)
-    assert not swept and not supervision.maps
-
-
 def test_photos_that_were_never_matched_have_no_stereo():
     supervision = stereo_supervision(replace(SCENE, tracks=None), ASKED, None)
     assert not supervision.maps and supervision.depths(SCENE.frames) is None
 
 
-def test_presets_for_photos_ask_for_it_but_for_the_quickest():
-    weights = {name: preset.get("supervision", {}).get("stereo_weight", 0) for name, preset in PRESETS.items()}
-    photos = {"fast", "balanced", "accurate"}
-    assert {name for name, stereo in weights.items() if stereo} == photos
-    points = {name: preset.get("model", {}).get("stereo_points", 0) for name, preset in PRESETS.items()}
-    assert {name: most for name, most in points.items() if most} == {
-        "fast": 15_000,
-        "balanced": 30_000,
-        "accurate": 75_000,
-    }
+def test_a_resumed_run_reads_its_own_maps_or_has_none_and_compares_nothing(swept, tmp_path):
+    assert not stereo_supervision(SCENE, ASKED, tmp_path).maps
+    write_stereo_maps(tmp_path, MAPS)
+    supervision = stereo_supervision(SCENE, ASKED, tmp_path)
+    assert not swept and list(supervision.maps) == list(MAPS)
+    np.testing.assert_array_equal(supervision.maps[SCENE.frames[0].name].depth, DEPTH)
 
 
 def test_the_term_of_depth_is_in_every_phase_until_there_is_no_depth():

@@ -42,9 +42,7 @@ def test_round_trip_keeps_every_bit_and_the_structure(tmp_path):
     loaded = checkpoints.load(tmp_path / "state.npz", state)
     assert jax.tree.structure(loaded) == jax.tree.structure(state)
     assert raw_bytes(loaded) == raw_bytes(state)
-    assert isinstance(loaded.key, jax.Array)
-    assert isinstance(loaded.mask, np.ndarray)
-    assert jnp.array_equal(jax.random.split(loaded.key), jax.random.split(state.key))
+    assert isinstance(loaded.key, jax.Array) and isinstance(loaded.mask, np.ndarray)
 
 
 @pytest.mark.parametrize(
@@ -62,18 +60,14 @@ def test_the_first_difference_is_named(tmp_path, like, message):
         checkpoints.load(tmp_path / "x.npz", like)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])
-def test_a_truncated_file_is_one_line(tmp_path, share):
+def test_truncated_absent_and_foreign_files_are_one_line(tmp_path):
     path = tmp_path / "state.npz"
     checkpoints.save(path, {"a": np.arange(1000, dtype=np.float32)})
     whole = path.read_bytes()
-    path.write_bytes(whole[: int(len(whole) * share)])
-    with pytest.raises(InputError, match=r"state\.npz: truncated or damaged checkpoint") as caught:
-        checkpoints.load_arrays(path)
-    assert "\n" not in str(caught.value)
-
-
-def test_absent_and_foreign_files(tmp_path):
+    for share in (0.0, 0.5, 0.99):
+        path.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(InputError, match=r"^[^\n]*state\.npz: truncated or damaged checkpoint[^\n]*$"):
+            checkpoints.load_arrays(path)
     with pytest.raises(InputError, match="no such checkpoint"):
         checkpoints.load_arrays(tmp_path / "absent.npz")
     np.save(tmp_path / "array.npy", np.zeros(3))

@@ -28,10 +28,10 @@ def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
 
 
 def test_a_run_begins_with_room_for_its_programs(monkeypatch, tmp_path):
-    thirds = jax.jit(lambda x: x / 3)
-    thirds(jnp.arange(7.0))
-    monkeypatch.setattr(compilations, "MOST_MAPPINGS", 0)
-    with pytest.raises(InputError):
-        pipeline.train(tmp_path, tmp_path / "out", Settings())
-    assert thirds._cache_size() == 0
-    thirds(jnp.arange(7.0))
+    calls = []
+    monkeypatch.setattr(jax, "clear_caches", lambda: calls.append("cleared"))
+    for most, expected in ((10**9, []), (0, ["cleared"])):
+        monkeypatch.setattr(compilations, "MOST_MAPPINGS", most)
+        with pytest.raises(InputError):
+            pipeline.train(tmp_path, tmp_path / "out", Settings())
+        assert calls == expected

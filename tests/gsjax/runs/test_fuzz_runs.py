@@ -116,9 +116,8 @@ def test_fuzz_records_of_networks(tmp_path):
     assert all(fuzz_files(lambda: read_network(file), file, usual=200))
 
 
-@pytest.mark.parametrize("seconds", [np.nan, -1.0])
-def test_a_checkpoint_of_no_time_is_damaged(tmp_path, seconds):
+def test_a_checkpoint_of_no_time_is_damaged(tmp_path):
     stored = {"state": State(cloud(20), np.int32(5)), "rows": np.int64(20), "capacity": np.int64(9)}
-    checkpoints.save(tmp_path / "checkpoints" / "step_0000005.npz", stored | {"seconds": np.float64(seconds)})
+    checkpoints.save(tmp_path / "checkpoints" / "step_0000005.npz", stored | {"seconds": np.float64(np.nan)})
     with pytest.raises(InputError, match=r"step_0000005.npz: damaged checkpoint, its step, capacity or seconds are"):
         starting_point(tmp_path, lambda rows: State(cloud(rows or 20), np.int32(0)))

@@ -1,5 +1,4 @@
 import json
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -20,15 +19,12 @@ NORMAL = np.array([0.5, -0.3, -1]) / np.linalg.norm([0.5, -0.3, -1])
 EYES = [(0.0, 0.0, 0.0), (0.2, 0.0, 0.1), (-0.1, 0.2, 0.0)]
 
 
-def frames_named(*names):
-    cameras = [camera_at(eye, np.add(eye, (0, 0, 1)), size=(40, 32)) for eye in EYES]
-    photo = Pixels(np.zeros((32, 40, 3), np.uint8))
-    return tuple(
-        frame_of(name, np.asarray(c.viewmat), np.asarray(c.K), photo) for name, c in zip(names, cameras, strict=False)
-    )
-
-
-FRAMES = frames_named("left/a.jpg", "b.jpg", "c.jpg")
+CAMERAS = [camera_at(eye, np.add(eye, (0, 0, 1)), size=(40, 32)) for eye in EYES]
+PHOTO = Pixels(np.zeros((32, 40, 3), np.uint8))
+FRAMES = tuple(
+    frame_of(name, np.asarray(c.viewmat), np.asarray(c.K), PHOTO)
+    for name, c in zip(("left/a.jpg", "b.jpg", "c.jpg"), CAMERAS, strict=True)
+)
 
 
 @pytest.fixture(scope="module")
@@ -78,11 +74,8 @@ def test_own_normals_are_those_of_the_surface_and_lie_in_the_run(tilted, tmp_pat
         has_normal = np.any(normals, axis=-1)
         assert has_normal.mean() > 0.9
         assert angles(normals[has_normal], NORMAL).mean() < 3
-    assert sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.png")) == [
-        "normals/b.png",
-        "normals/c.png",
-        "normals/left/a.png",
-    ]
+    files = sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.png"))
+    assert files == ["normals/b.png", "normals/c.png", "normals/left/a.png"]
 
 
 def test_a_killed_run_makes_what_is_missing_and_ends_with_the_same_bits(tilted, tmp_path, monkeypatch):
@@ -105,7 +98,7 @@ def test_a_killed_run_makes_what_is_missing_and_ends_with_the_same_bits(tilted, 
     np.testing.assert_array_equal(NormalSource(tmp_path / "run", None, None, FRAMES)(None, FRAMES), whole)
 
 
-@pytest.mark.parametrize("signs", [(1, -1, -1), (-1, 1, 1), (-1, -1, -1)])
+@pytest.mark.parametrize("signs", [(1, -1, -1), (-1, -1, -1)])
 def test_foreign_maps_are_turned_to_our_axes(tilted, foreign, tmp_path, capsys, signs):
     maps = NormalSource(tmp_path / "run", foreign(NORMAL, signs), None, FRAMES)(tilted, FRAMES)
     assert angles(np.stack(maps), NORMAL).max() < 0.4
@@ -164,20 +157,7 @@ def test_the_filter_scales_inconsistent_normals_and_runs_once(tilted, tmp_path):
     assert verdict["kept"] and [*verdict["photos"]] == [frame.name for frame in FRAMES]
 
 
-def test_stereo_normals_serve_where_no_maps_are_given_and_are_not_filtered(tilted, foreign, tmp_path):
-    half = np.zeros((16, 20, 3), np.int8)
-    half[:, 10:] = [0, 0, -127]
-    stereo = {FRAMES[1].name: half}
-    source = NormalSource(tmp_path / "run", None, None, FRAMES, gated=True, stereo=stereo)
-    maps = source(tilted, FRAMES)
-    assert not maps[0].any() and not maps[2].any()
-    np.testing.assert_array_equal(maps[1], half.repeat(2, axis=0).repeat(2, axis=1))
-    assert_close(source.shares_compared(FRAMES), np.ones(3))
-    map_source = NormalSource(tmp_path / "other", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, stereo=stereo)
-    assert all(np.any(each, axis=-1).all() for each in map_source(tilted, FRAMES))
-
-
-def test_of_photos_whose_given_maps_are_rejected_stereo_normals_serve(tilted, foreign, tmp_path, monkeypatch):
+def test_stereo_normals_serve_where_no_maps_are_given_or_these_are_rejected(tilted, foreign, tmp_path, monkeypatch):
     def reject_first(folder, gaussians, frames, maps, depth_mode, *, keep, notify):
         notify("no normal has weight")
         return [np.zeros_like(maps[0]), *maps[1:]]
@@ -185,14 +165,17 @@ def test_of_photos_whose_given_maps_are_rejected_stereo_normals_serve(tilted, fo
     monkeypatch.setattr(normal_source, "filter_normals", reject_first)
     half = np.zeros((16, 20, 3), np.int8)
     half[:, 10:] = [0, 0, -127]
+    whole, lines = half.repeat(2, axis=0).repeat(2, axis=1), []
     stereo = dict.fromkeys((FRAMES[0].name, FRAMES[1].name), half)
-    map_folder, lines = foreign((1, 0, 0), (1, 1, 1)), []
     how = {"gated": True, "stereo": stereo, "notify": lines.append}
-    maps = NormalSource(tmp_path / "run", map_folder, "+x+y+z", FRAMES, **how)(tilted, FRAMES)
+    source = NormalSource(tmp_path / "without", None, None, FRAMES, **how)
+    np.testing.assert_array_equal(source(tilted, FRAMES), [whole, whole, 0 * whole])
+    assert not lines, "stereo normals are not filtered"
+    assert_close(source.shares_compared(FRAMES), np.ones(3))
+    source = NormalSource(tmp_path / "run", foreign((1, 0, 0), (1, 1, 1)), "+x+y+z", FRAMES, **how)
+    map_normals = np.broadcast_to(np.int8([127, 0, 0]), whole.shape)
+    np.testing.assert_array_equal(source(tilted, FRAMES), [whole, map_normals, map_normals])
     assert lines == ["no normal has weight; rejected photos take stereo normals"]
-    np.testing.assert_array_equal(maps[0], half.repeat(2, axis=0).repeat(2, axis=1))
-    for each in maps[1:]:
-        assert (each == np.int8([127, 0, 0])).all()
 
 
 @pytest.mark.parametrize(
@@ -203,27 +186,24 @@ def test_of_photos_whose_given_maps_are_rejected_stereo_normals_serve(tilted, fo
     ],
 )
 def test_the_verdict_on_own_normals_says_how_often_photos_are_compared(
-    tilted, tmp_path, monkeypatch, apart, shares, suffix
+    tilted, foreign, tmp_path, monkeypatch, apart, shares, suffix
 ):
-    lines = []
-    monkeypatch.setattr(normal_source, "filter_normals", partial(leave_verdict, apart))
-    own = NormalSource(tmp_path, None, None, FRAMES, gated=True, notify=lines.append)
-    own(tilted, FRAMES)
-    assert_close(own.shares_compared(FRAMES), np.array(shares))
-    assert lines == [f"they agree{suffix}"]
+    """Those with maps of a network, and with maps that nobody judges, in all steps."""
 
+    def leave_verdict(folder, gaussians, frames, maps, depth_mode, *, keep, notify):
+        photos = {frame.name: {"apart": degrees} for frame, degrees in zip(frames, apart, strict=True)}
+        (folder / "gate.json").write_text(json.dumps({"photos": photos}))
+        notify("they agree")
+        return maps
 
-def test_with_maps_of_a_network_and_with_maps_that_nobody_judges_photos_are_compared_in_all_steps(
-    tilted, foreign, tmp_path, monkeypatch
-):
-    lines = []
-    monkeypatch.setattr(normal_source, "filter_normals", partial(leave_verdict, [60.0] * 3))
-    of_network = NormalSource(
-        tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, gated=True, notify=lines.append
-    )
-    of_network(tilted, FRAMES)
-    assert_close(of_network.shares_compared(FRAMES), np.ones(3))
-    assert lines == ["they agree"]
+    monkeypatch.setattr(normal_source, "filter_normals", leave_verdict)
+    lines, how = [], {"gated": True, "notify": lambda line: lines.append(line)}
+    own = NormalSource(tmp_path / "own", None, None, FRAMES, **how)
+    of_network = NormalSource(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, **how)
+    for source, expected in ((own, shares), (of_network, [1.0, 1.0, 1.0])):
+        source(tilted, FRAMES)
+        assert_close(source.shares_compared(FRAMES), np.array(expected))
+    assert lines == [f"they agree{suffix}", "they agree"]
     assert_close(NormalSource(tmp_path / "other", None, None, FRAMES).shares_compared(FRAMES), np.ones(3))
 
 
@@ -241,11 +221,3 @@ def test_a_verdict_that_is_damaged_or_gone_is_named(tmp_path, photos, fault):
         (tmp_path / "normals/gate.json").write_text(json.dumps({"photos": photos}))
     with pytest.raises(InputError, match=rf"gate\.json: .*{fault}"):
         NormalSource(tmp_path, None, None, FRAMES, gated=True).shares_compared(FRAMES)
-
-
-def leave_verdict(apart, folder, gaussians, frames, maps, depth_mode, *, keep, notify):
-    """In place of the filter: writes its verdict, and reports it."""
-    photos = {frame.name: {"apart": degrees} for frame, degrees in zip(frames, apart, strict=True)}
-    (folder / "gate.json").write_text(json.dumps({"photos": photos}))
-    notify("they agree")
-    return maps

@@ -50,16 +50,8 @@ def both(request, tmp_path):
     for process in range(2):
         log = open(tmp_path / f"{process}.log", "w")  # noqa: SIM115
         command = [sys.executable, "-m", "gsjax", "train", str(scene), "--out", str(tmp_path / "run")]
-        command += [
-            "--coordinator",
-            f"127.0.0.1:{port}",
-            "--processes",
-            "2",
-            "--process",
-            str(process),
-            "--set",
-            *request.param,
-        ]
+        command += f"--coordinator 127.0.0.1:{port} --processes 2 --process {process} --set".split()
+        command += request.param
         started.append(subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ, "TMPDIR": str(tmp_path)}))
         log.close()
     yield started

@@ -72,16 +72,14 @@ def test_training_pictures_are_empty_where_photos_are_masked(run):
 
 
 def test_depth_is_what_it_was_in_training(run):
-    def depth():
+    """Center in a run of before there was a choice."""
+    gaussians = open_result(run).gaussians
+    for model, mode in (({}, "center"), ({"depth_mode": "plane"}, "plane")):
+        json_files.write(run / "config.json", {"model": {"background": "white"} | model})
         result = open_result(run)
-        return list(training_pictures(result, result.gaussians, result.background)[1])[1].depth
-
-    before_there_was_a_choice = depth()
-    for mode in ("center", "plane"):
-        json_files.write(run / "config.json", {"model": {"background": "white", "depth_mode": mode}})
-        expected = list(gallery.pictures(open_result(run).gaussians, [CAMERAS[2]], np.ones(3), mode))[0].depth
-        np.testing.assert_array_equal(depth(), expected)
-        assert np.array_equal(expected, before_there_was_a_choice) == (mode == "center")
+        depth = list(training_pictures(result, result.gaussians, result.background)[1])[1].depth
+        (expected,) = gallery.pictures(gaussians, [CAMERAS[2]], np.ones(3), mode)
+        np.testing.assert_array_equal(depth, expected.depth)
 
 
 def test_a_mask_that_cannot_be_used_is_one_line(run):

@@ -1,25 +1,15 @@
 """Cameras around Gaussians that have none of their own, and circles of cameras."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
+from small_scenes import discs
 
-from gsjax import gaussians as gs
 from gsjax.runs import viewpoints
 from gsjax.scene import cameras as cams
 from gsjax.scene.meshes import Mesh
-
-
-def cloud(means):
-    count = len(means)
-    return gs.Gaussians(
-        means=np.float32(means),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
-        log_scales=np.full((count, 3), np.log(0.08), np.float32),
-        logit_opacities=np.full(count, 4.0, np.float32),
-        sh_dc=np.zeros((count, 1, 3), np.float32),
-        sh_rest=np.zeros((count, 0, 3), np.float32),
-    )
 
 
 def sphere(count, radius):
@@ -27,8 +17,13 @@ def sphere(count, radius):
     return radius * points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (70.0, -20.0, 5.0)])
-def test_an_object_is_looked_at_from_all_around(place):
+def cloud(points):
+    """Spheres of 8 centimetres."""
+    return discs(points, np.array([0.0, 0.0, 1.0]), 0.08, thickness=1.0, opacity=0.98)
+
+
+def test_an_object_is_looked_at_from_all_around():
+    place = 70.0, -20.0, 5.0
     cameras = viewpoints.cameras_around(cloud(sphere(600, 1.0) + place))
     eyes = np.array([np.asarray(cams.center(c)) for c in cameras]) - place
     assert np.linalg.norm(eyes, axis=1).min() > 1.5
@@ -42,7 +37,7 @@ def test_an_object_is_looked_at_from_all_around(place):
 def test_what_its_surroundings_hide_is_looked_at_from_within_them(count, hidden_at, size, within):
     walls = 1900 - count  # One shape, one compilation.
     room = cloud(np.concatenate([sphere(walls, 4.0), sphere(count, hidden_at)]))
-    room.log_scales[walls:] = np.log(size)
+    room = replace(room, log_scales=room.log_scales.at[walls:].set(np.log(size)))
     eyes = np.array([np.asarray(cams.center(c)) for c in viewpoints.cameras_around(room)])
     assert np.linalg.norm(eyes, axis=1).max() < within
 
@@ -61,7 +56,7 @@ def test_a_circle_is_as_high_and_as_wide_as_the_cameras_of_the_run():
     np.testing.assert_allclose(np.hypot(around[:, 0], around[:, 1]), 4.0, atol=0.1)
 
 
-@pytest.mark.parametrize("up", [(0, 0, 1), (0, 0, -2.0), (0, -1, 0), (0.3, 0.5, 1.0)])
+@pytest.mark.parametrize("up", [(0, 0, -2.0), (0.3, 0.5, 1.0)])
 def test_a_circle_of_a_mesh_is_twenty_degrees_above_it_and_every_view_holds_all_of_it(up):
     corners = trimesh.creation.box((2.0, 1.0, 3.0)).vertices + [5, -3, 4]
     mesh = Mesh(corners.astype(np.float32), np.arange(6, dtype=np.int32).reshape(2, 3), np.zeros((8, 3), np.uint8))

@@ -34,7 +34,7 @@ def test_nothing_but_opacities_changes_and_what_is_left_out_or_full_has_no_gradi
     sample = leave_out(GAUSSIANS, SHARE, KEYS[0])
     for field in ("means", "quats", "log_scales", "sh_dc", "sh_rest"):
         assert getattr(sample, field) is getattr(GAUSSIANS, field)
-    gradient = jax.grad(lambda g: jnp.sum(opacities(leave_out(g, SHARE, KEYS[0]))))(GAUSSIANS)
+    gradient = jax.jit(jax.grad(lambda g: jnp.sum(opacities(leave_out(g, SHARE, KEYS[0])))))(GAUSSIANS)
     before, stays = np.asarray(opacities(GAUSSIANS)), np.asarray(opacities(sample)) > 1e-9
     free = stays & (before < (1 - SHARE) * MOST)
     assert 0 < free.sum() < stays.sum() < ALIVE

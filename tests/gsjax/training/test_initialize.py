@@ -21,16 +21,11 @@ RNG = np.random.default_rng(0)
 POINTS, COLORS = RNG.normal(size=(20, 3)), RNG.integers(0, 256, (20, 3), dtype=np.uint8)
 
 
-def test_scales_are_the_distances_to_the_three_nearest():
+def test_points_become_gaussians_as_large_as_the_distances_to_the_three_nearest():
     distances = np.sort(np.linalg.norm(POINTS[:, None] - POINTS[None], axis=-1), axis=1)[:, 1:4]
-    expected = np.sqrt((distances**2).mean(1))
-    gaussians = from_points(POINTS, COLORS, capacity=20, sh_degree=0)
-    assert_close(scales(gaussians), np.repeat(expected[:, None], 3, 1))
-    assert_close(gaussians.means, POINTS)
-
-
-def test_opacity_and_colour():
     gaussians = from_points(POINTS, COLORS, capacity=20, sh_degree=2, opacity=0.3)
+    assert_close(scales(gaussians), np.repeat(np.sqrt((distances**2).mean(1))[:, None], 3, 1))
+    assert_close(gaussians.means, POINTS)
     assert_close(opacities(gaussians), np.full(20, 0.3))
     assert_close(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, COLORS / 255)
     assert_close(gaussians.sh_rest, np.zeros((20, 8, 3)))
@@ -48,47 +43,31 @@ def test_axes_follow_the_points_around_however_the_world_is_turned():
     assert_close(np.abs(np.einsum("ij,njk,nik->nk", turn.astype(np.float32), here, there)), np.ones((60, 3)))
 
 
-def test_rows_beyond_the_points_are_dead_and_everything_is_float32():
+def test_rows_beyond_the_points_are_dead_and_too_many_points_are_thinned_over_their_whole_length():
     gaussians = from_points(POINTS, COLORS, capacity=32, sh_degree=1)
     assert {leaf.dtype for leaf in jax.tree.leaves(gaussians)} == {jnp.dtype("float32")}
     assert {leaf.shape[0] for leaf in jax.tree.leaves(gaussians)} == {32}
     assert_close(gaussians.logit_opacities[20:], np.full(12, DEAD_LOGIT))
     assert bool((gaussians.logit_opacities[:20] > -5).all())
-
-
-def test_too_many_points_are_thinned_over_their_whole_length():
-    gaussians = from_points(POINTS, COLORS, capacity=5, sh_degree=0)
-    rows = [0, 4, 9, 14, 19]
+    gaussians, rows = from_points(POINTS, COLORS, capacity=5, sh_degree=0), [0, 4, 9, 14, 19]
     assert_close(gaussians.means, POINTS[rows])
     assert_close(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, COLORS[rows] / 255)
 
 
-@pytest.mark.parametrize(
-    ("points", "expected"),
-    [
-        ([[1.0, 2, 3]], 0.01),
-        ([[0.0, 0, 0], [0, 0, 2]], 2.0),
-        ([[1.0, 1, 1]] * 6, np.sqrt(1e-7)),
-    ],
-    ids=["one", "two", "coincident"],
-)
-def test_few_or_coincident_points_get_a_usable_scale(points, expected):
-    gaussians = from_points(np.array(points), np.zeros((len(points), 3)), capacity=len(points), sh_degree=0)
-    assert_close(scales(gaussians), np.full((len(points), 3), expected))
+def test_few_or_coincident_points_get_a_usable_scale():
+    for points, expected in (([[1.0, 2, 3]], 0.01), ([[0.0, 0, 0], [0, 0, 2]], 2.0), ([[1.0, 1, 1]] * 6, 1e-7**0.5)):
+        gaussians = from_points(np.array(points), np.zeros((len(points), 3)), capacity=len(points), sh_degree=0)
+        assert_close(scales(gaussians), np.full((len(points), 3), expected))
 
 
-RULE = DENSIFICATION_RULES["adc"]
-
-
-@pytest.mark.parametrize("pixel_filter", ["classic", "mip"])
-def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it(pixel_filter):
+def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it():
     scene = Scene(Path("scene"), "colmap", (), POINTS.astype(np.float32), COLORS)
-    settings = Settings(model=Model(pixel_filter=pixel_filter, max_gaussians=40, sh_degree=0))
-    optimizer = make_optimizer(settings.rates, 1.0, 10)
-    state = start.first_state(scene, settings.model, RULE, optimizer, {})
-    assert state.gaussians.pixel_filter == pixel_filter
-    roomy = with_room_to_densify(state, optimizer, settings.density, 40, rule=RULE)
-    assert roomy.gaussians.pixel_filter == pixel_filter
+    settings = Settings(model=Model(pixel_filter="mip", max_gaussians=40, sh_degree=0))
+    optimizer, rule = make_optimizer(settings.rates, 1.0, 10), DENSIFICATION_RULES["adc"]
+    state = start.first_state(scene, settings.model, rule, optimizer, {})
+    assert state.gaussians.pixel_filter == "mip"
+    roomy = with_room_to_densify(state, optimizer, settings.density, 40, rule=rule)
+    assert roomy.gaussians.pixel_filter == "mip"
 
 
 def photos_from(*eyes, matte=None):
@@ -120,10 +99,10 @@ def test_far_points_lie_beyond_cameras_and_cloud_where_a_photo_looks():
     assert farthest.sum() / 30_000 == pytest.approx(share, rel=0.4)  # from a sixth of the radius off the middle
 
 
-@pytest.mark.parametrize("count", [0, 2, 3])
-def test_a_few_far_points_or_none_are_no_trouble(count):
-    far = far_points(POINTS[:1], photos_from((2.0, 0.0, 0.0)), count)
-    assert far.shape[1:] == (3,) and len(far) <= count and np.isfinite(far).all()
+def test_a_few_far_points_or_none_are_no_trouble():
+    for count in (0, 2, 3):
+        far = far_points(POINTS[:1], photos_from((2.0, 0.0, 0.0)), count)
+        assert far.shape[1:] == (3,) and len(far) <= count and np.isfinite(far).all()
 
 
 @pytest.mark.parametrize("matte", [None, np.full((24, 32), 255, np.uint8)])
@@ -134,9 +113,6 @@ def test_training_starts_with_far_points_within_its_budget_unless_photos_have_ma
         points, colors = start.starting_points(scene, Model(max_gaussians=budget, far_points=900))
         far = len(far_points(POINTS, frames, budget // 10))
         assert len(points) == len(colors) == (far + min(20, budget - far) if matte is None else 20)
-    for without in (
-        Model(max_gaussians=1000),
-        Model(far_points=900, background="white"),
-    ):
+    for without in (Model(max_gaussians=1000), Model(far_points=900, background="white")):
         points, _ = start.starting_points(scene, without)
         np.testing.assert_array_equal(points, scene.points)

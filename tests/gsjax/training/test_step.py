@@ -1,5 +1,6 @@
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -15,7 +16,7 @@ from gsjax.gaussians import opacities
 from gsjax.metrics.images import psnr
 from gsjax.scene import batches
 from gsjax.settings import Density, Rates, Weights
-from gsjax.training.capacity import chosen_capacity, kept_or, largest_need
+from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import DEAD_LOGIT
@@ -70,9 +71,13 @@ def assert_identical(actual, expected):
     jax.tree.map(np.testing.assert_array_equal, actual, expected)
 
 
-def moments(state, field):
-    leaves = jax.tree.flatten_with_path(state.opt_state)[0]
-    return [np.asarray(leaf) for path, leaf in leaves if jax.tree_util.keystr(path).endswith(f".{field}")]
+def moments_of_both(before, after):
+    """(field, moment before, moment after) of all moments of the optimizer."""
+    leaves = [jax.tree.flatten_with_path(state.opt_state)[0] for state in (before, after)]
+    for (path, old), (_, new) in zip(*leaves, strict=True):
+        field = jax.tree_util.keystr(path).rpartition(".")[2]
+        if field in FIELDS:
+            yield field, np.asarray(old), np.asarray(new)
 
 
 @contextmanager
@@ -93,13 +98,6 @@ def test_one_compilation_serves_all_views_steps_and_bands(setup):
     assert not any(bool(m.overflowed) for m in metrics)
 
 
-def test_the_picture_comes_nearer_to_the_photos(setup):
-    _, metrics = run(setup, start(), 60)
-    first, last = (np.mean([float(m.psnr) for m in part]) for part in (metrics[:3], metrics[-3:]))
-    assert last > first + 5  # decibels
-    assert float(metrics[-1].loss) < 0.6 * float(metrics[0].loss)
-
-
 def test_the_report_is_of_the_view_before_the_update(setup):
     before = start()
     gaussians = copied(before.gaussians)
@@ -118,20 +116,11 @@ def test_the_report_is_of_the_view_before_the_update(setup):
 
 def test_random_backgrounds_differ_between_steps_and_repeat(setup):
     def terms_at(step):
-        state = replace(start(), step=jnp.int32(step))
-        return {k: float(v) for k, v in setup.step(state, setup.data.views[0], KEY)[1].terms.items()}
+        return setup.step(replace(start(), step=jnp.int32(step)), setup.data.views[0], KEY)[1].terms
 
-    assert terms_at(0) == terms_at(0)
-    assert terms_at(0)["alpha"] == terms_at(1)["alpha"]  # coverage knows no background
-    assert terms_at(0)["l1"] != terms_at(1)["l1"]
-
-
-def test_backgrounds_are_what_they_are_called():
-    assert_close(BACKGROUNDS["white"](KEY), np.ones(3))
-    assert_close(BACKGROUNDS["black"](KEY), np.zeros(3))
-    colors = np.stack([BACKGROUNDS["random"](jax.random.fold_in(KEY, step)) for step in range(50)])
-    assert 0 <= colors.min() < 0.1 and 0.9 < colors.max() < 1
-    assert len(np.unique(colors)) == 150
+    first, again, later = terms_at(0), terms_at(0), terms_at(1)
+    assert_identical(again, first)
+    assert later["alpha"] == first["alpha"] and later["l1"] != first["l1"], "coverage knows no background"
 
 
 def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
@@ -161,14 +150,18 @@ def test_dtypes_and_shapes_stay_whatever_happens_to_the_state(setup):
         check(run(setup, state, 1)[0])
 
 
-def test_dead_rows_stay_as_they_are(setup):
+def test_living_rows_move_and_gather_statistics_and_dead_rows_stay_as_they_are(setup):
     before = start().gaussians
-    after = run(setup, start(), 5)[0].gaussians
+    state, _ = run(setup, start(), 3)
     for field in FIELDS:
-        old, new = np.asarray(getattr(before, field)), np.asarray(getattr(after, field))
+        old, new = np.asarray(getattr(before, field)), np.asarray(getattr(state.gaussians, field))
         np.testing.assert_array_equal(new[ALIVE:], old[ALIVE:])
         assert np.abs(new[:ALIVE] - old[:ALIVE]).max() > 0
-    assert int(count_alive(after)) == ALIVE
+    assert int(count_alive(state.gaussians)) == ALIVE
+    statistics = jax.tree.map(np.asarray, state.statistics)
+    assert set(np.unique(statistics.views)) <= {0, 1, 2, 3} and (statistics.views[:ALIVE] == 3).mean() > 0.5
+    assert not statistics.views[ALIVE:].any() and statistics.gradient.max() > 0
+    assert np.all((statistics.gradient > 0) <= (statistics.views > 0))
 
 
 def test_a_step_learns_of_those_that_it_draws_alone(setup):
@@ -181,16 +174,6 @@ def test_a_step_learns_of_those_that_it_draws_alone(setup):
     assert not moved[~stays].any() and not views[~stays].any()
     is_drawn = np.asarray(stays)[:ALIVE]
     assert moved[:ALIVE][is_drawn].mean() > 0.9 and (views[:ALIVE][is_drawn] == 1).mean() > 0.9
-
-
-def test_statistics_count_the_views_and_the_gradient_of_each(setup):
-    state, _ = run(setup, start(), 3)
-    statistics = jax.tree.map(np.asarray, state.statistics)
-    assert set(np.unique(statistics.views)) <= {0, 1, 2, 3}
-    assert (statistics.views[:ALIVE] == 3).mean() > 0.5
-    assert not statistics.views[ALIVE:].any()
-    assert np.all((statistics.gradient > 0) <= (statistics.views > 0))
-    assert statistics.gradient.max() > 0
 
 
 def test_what_shows_in_the_padding_alone_is_not_seen_in_the_photo():
@@ -216,9 +199,8 @@ def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
     density = Density(gradient=float(np.sort(mean_gradient)[-30]))
     before = jax.tree.map(np.array, state)
     how = {"density": density, "extent": 1.0, "prune_large": False}
-    expected, moved = gradient_driven.densify(
-        state.gaussians, state.statistics, jax.random.fold_in(KEY, state.step), **how
-    )
+    densified = jax.jit(partial(gradient_driven.densify, **how))
+    expected, moved = densified(state.gaussians, state.statistics, jax.random.fold_in(KEY, state.step))
     source, fresh = np.asarray(moved.source), np.asarray(moved.fresh)
     how = {"optimizer": OPTIMIZER, "density": density, "budget": CAPACITY, "rule": DENSIFICATION_RULES["adc"]}
     after = densify(state, KEY, jnp.float32(1.0), jnp.asarray(False), **how)
@@ -226,10 +208,9 @@ def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
     assert int(count_alive(after.gaussians)) == CAPACITY
     assert set(source[ALIVE:]) == set(np.argsort(mean_gradient)[-20:])
     assert 0 < fresh[:ALIVE].sum() < 20  # those split; a cloned original goes on
-    for field in FIELDS:
-        for old, new in zip(moments(before, field), moments(after, field), strict=True):
-            np.testing.assert_array_equal(new[~fresh], old[source[~fresh]])
-            assert not new[fresh].any()
+    for _, old, new in moments_of_both(before, after):
+        np.testing.assert_array_equal(new[~fresh], old[source[~fresh]])
+        assert not new[fresh].any()
     assert not np.any(after.statistics.views) and not np.any(after.statistics.gradient)
     assert int(after.step) == 3
 
@@ -238,12 +219,11 @@ def test_a_reset_forgets_the_moments_of_opacities_only(setup):
     state, _ = run(setup, start(), 3)
     before = jax.tree.map(np.array, state)
     after = reset_opacities(state, optimizer=OPTIMIZER, limit=0.01)
-    assert float(opacities(after.gaussians).max()) == pytest.approx(0.01, rel=1e-4)
+    assert_close(opacities(after.gaussians), np.minimum(opacities(before.gaussians), np.float32(0.01)))
     assert int(count_alive(after.gaussians)) == ALIVE
-    for field in FIELDS:
-        for old, new in zip(moments(before, field), moments(after, field), strict=True):
-            assert old.any()
-            np.testing.assert_array_equal(new, np.zeros_like(old) if field == "logit_opacities" else old)
+    for field, old, new in moments_of_both(before, after):
+        assert old.any()
+        np.testing.assert_array_equal(new, np.zeros_like(old) if field == "logit_opacities" else old)
     integers = [[int(x) for x in jax.tree.leaves(s.opt_state) if x.dtype == np.int32] for s in (before, after)]
     assert integers[0] == integers[1] and set(integers[0]) == {3}
 
@@ -260,8 +240,8 @@ def test_a_cull_kills_the_faint_and_leaves_the_others(setup):
         np.testing.assert_array_equal(
             np.asarray(getattr(after.gaussians, field))[~faint], getattr(before.gaussians, field)[~faint]
         )
-        for old, new in zip(moments(before, field), moments(after, field), strict=True):
-            np.testing.assert_array_equal(new, np.where(faint.reshape(-1, *[1] * (old.ndim - 1)), 0, old))
+    for _, old, new in moments_of_both(before, after):
+        np.testing.assert_array_equal(new, np.where(faint.reshape(-1, *[1] * (old.ndim - 1)), 0, old))
 
 
 def test_the_capacity_holds_every_view_with_headroom(setup):
@@ -270,14 +250,6 @@ def test_the_capacity_holds_every_view_with_headroom(setup):
     assert largest_need(gaussians, setup.data) == max(needs)
     capacity = chosen_capacity(gaussians, setup.data, headroom=1.5)
     assert capacity % 4096 == 0 and 1.5 * max(needs) < capacity <= 1.5 * max(needs) + 4097
-
-
-@pytest.mark.parametrize(
-    ("before", "is_kept"), [(None, False), (4_999, False), (5_000, True), (32_000, True), (32_001, False)]
-)
-def test_a_phase_goes_on_in_the_buffer_of_before_where_it_serves(before, is_kept):
-    """Of 4,000 needed slots: not if it would soon be too short, nor if it is longer than a new one."""
-    assert kept_or(32_000, 8.0, before) == (before if is_kept else 32_000)
 
 
 def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
@@ -291,9 +263,9 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     capacity = int(1.1 * largest_need(start().gaussians, data))
     step = step_with(terms, capacity=capacity, background=BACKGROUNDS["white"], rule=None)
     state = start()
-    for index in range(4):
+    for index in range(2):
         with nothing_traced() if index else nullcontext():
-            state, metrics = step(state, replace(data.views[index % 3], beside=data.views[(index + 1) % 3]), KEY)
+            state, metrics = step(state, replace(data.views[index], beside=data.views[index + 1]), KEY)
         assert set(metrics.terms) == {each.name for each in terms}
         assert all(0 < float(value) < 9 for value in metrics.terms.values()), metrics.terms  # one of them is in pixels
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 import step_without_effects
 from small_scenes import camera_at, cloud, photographed
-from tolerances import assert_close
 
-from gsjax.effects import background, exposure, poses, vignetting
+from gsjax.effects import background, exposure, poses
 from gsjax.effects.camera_twists import apply_twist, gauge
-from gsjax.effects.simulation import learning_rate
 from gsjax.rendering import backdrop, gallery
 from gsjax.scene import batches
 from gsjax.scene.cameras import center
@@ -70,28 +68,6 @@ def test_a_step_without_effects_is_that_of_a_program_that_never_heard_of_them(ru
     ours = program(make_train_step(OPTIMIZER, terms, dropout=0.0, **options(rule)), state, target)
     theirs = program(step_without_effects.make_train_step(OPTIMIZER, terms, **options(rule)), state, target)
     assert ours == theirs
-
-
-def test_held_effects_leave_the_others_as_they_were(data):
-    """At gains of one, a factor of exactly 1, and a rate of zero: only the order of roundings may differ."""
-    rate = learning_rate(3000)
-    effects = {
-        "exposure": exposure.make_effect(np.zeros((3, 3)), rate),
-        "vignetting": vignetting.make_effect(np.zeros((1, 2)), np.zeros(3), rate),
-        "poses": poses.make_effect(CENTERS, 4.0, np.zeros(3), 1, rate),
-        "background": background.make_effect(backdrop.constant_coefficients(np.zeros(3), 4), rate),
-    }
-    step = make_train_step(OPTIMIZER, PHOTOS, **options("adc"), effects=effects)
-    plain = make_train_step(OPTIMIZER, PHOTOS, **options("adc"))
-    state, without = start(effects), start()
-    for target in data.views:
-        state, reported = step(state, target, KEY)
-        without, expected = plain(without, batches.Batch(**{**target.__dict__, "photo": None}), KEY)
-    assert_close(reported.loss, expected.loss)
-    # Adam divides the rounding of other fusions by a small gradient: 2.3e-6 measured, where steps move 7.5e-3.
-    assert_close(state.gaussians.sh_dc, without.gaussians.sh_dc, rtol=1e-4, atol=1e-5, why="other fusions, then Adam")
-    initial = {name: effect.initial for name, effect in effects.items()}
-    assert_close(state.effects.numbers, jax.tree.map(jnp.asarray, initial))
 
 
 @pytest.fixture(scope="module")
@@ -171,11 +147,10 @@ def test_cameras_go_where_their_photos_were_taken(learned, retaken):
 
 def test_the_sky_is_learned_where_it_is_open(learned, retaken):
     """Gains that are a little off make up for a sky that is: as the mean photo has it."""
-    pictures = list(gallery.pictures(cloud(200, seed=5), CAMERAS, np.zeros(3)))
+    color_behind = jax.jit(backdrop.color_behind)
+    pictures = gallery.pictures(cloud(200, seed=5), CAMERAS, np.zeros(3))
     for camera, picture in zip(CAMERAS, pictures, strict=True):
-        sky, learned_sky = (
-            np.asarray(backdrop.color_behind(jnp.asarray(each), camera)) for each in (SKY, learned["background"])
-        )
+        sky, learned_sky = (np.asarray(color_behind(each, camera)) for each in (SKY, learned["background"]))
         assert np.abs((1 - picture.alphas)[..., None] * (learned_sky - sky)).mean() < 0.02
 
 
@@ -183,11 +158,11 @@ def in_units(moves) -> np.ndarray:
     return np.concatenate([[*move.turn, *np.asarray(move.shift) / 4.0] for move in moves]).astype(np.float32)
 
 
-def test_an_overflowed_step_leaves_the_effects_as_they_were(retaken):
-    targets, effects, *_ = retaken
-    narrow = make_train_step(OPTIMIZER, PHOTOS, **{**options("adc"), "capacity": 8}, effects=effects)
+def test_a_step_that_is_not_taken_leaves_the_effects_as_they_were(retaken):
+    targets, effects, step, _ = retaken
     state = start(effects)
+    faulty = replace(state.gaussians, sh_dc=state.gaussians.sh_dc.at[:].set(jnp.nan))
     before = jax.tree.map(np.asarray, state.effects)
-    state, reported = narrow(state, targets[0], KEY)
-    assert reported.overflowed
-    assert_close(state.effects, before)
+    state, reported = step(replace(state, gaussians=faulty), targets[0], KEY)
+    assert not reported.finite
+    jax.tree.map(np.testing.assert_array_equal, state.effects, before)

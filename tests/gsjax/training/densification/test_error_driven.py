@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -11,7 +12,7 @@ from tolerances import assert_close
 import rasterizer
 from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, sh_coefficients
 from gsjax.scene import Pixels, batches, extent, frame_of
-from gsjax.scene.cameras import Camera, world_to_camera
+from gsjax.scene.cameras import Camera
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training.densification import error_driven
 from gsjax.training.densification.error_driven import ErrorStatistics
@@ -73,17 +74,11 @@ RISING = np.arange(ROWS, dtype=np.float32)
 # --- a split
 
 
-@pytest.mark.parametrize("opacity", [1e-4, 0.1, 0.6, 0.99, 0.99999])
+@pytest.mark.parametrize("opacity", [1e-4, 0.6, 0.99999])
 def test_both_halves_show_the_same_line_integral_mean_and_spread_as_the_whole(opacity, x64):
     logit = np.log(opacity) - np.log1p(-opacity)
-    whole = Gaussians(
-        means=jnp.array([[1.0, -2.0, 0.5]]),
-        quats=jnp.array([[0.9, 0.2, -0.3, 0.4]]),
-        log_scales=jnp.log(jnp.array([[0.2, 0.7, 0.1]])),
-        logit_opacities=jnp.array([logit]),
-        sh_dc=jnp.zeros((1, 1, 3)),
-        sh_rest=jnp.zeros((1, 0, 3)),
-    )
+    fields = [1.0, -2.0, 0.5], [0.9, 0.2, -0.3, 0.4], np.log([0.2, 0.7, 0.1]), logit, np.zeros((1, 3)), np.zeros((0, 3))
+    whole = Gaussians(*(jnp.asarray(np.array(field))[None] for field in fields))
     halves = [error_driven.split_half(whole, jnp.array([side])) for side in (-1.0, 1.0)]
     axes = np.asarray(rotation_matrices(whole.quats)[0])
     places = np.stack([(np.asarray(half.means)[0] - np.asarray(whole.means)[0]) @ axes for half in halves])
@@ -96,9 +91,7 @@ def test_both_halves_show_the_same_line_integral_mean_and_spread_as_the_whole(op
     x = np.linspace(-8, 8, 200_001)
 
     def alpha(gaussians, place):
-        return np.asarray(opacities(gaussians))[0] * np.exp(
-            -0.5 * ((x - place) / np.asarray(scales(gaussians))[0, 1]) ** 2
-        )
+        return float(opacities(gaussians)[0]) * np.exp(-0.5 * ((x - place) / float(scales(gaussians)[0, 1])) ** 2)
 
     lit = 1 - (1 - alpha(halves[0], places[0, 1])) * (1 - alpha(halves[1], places[1, 1]))
     np.testing.assert_allclose(np.trapezoid(lit, x), np.trapezoid(alpha(whole, 0.0), x), rtol=1e-9)
@@ -166,21 +159,21 @@ def test_size_spares_the_far_points_of_small_budgets_too():
     subject = np.random.default_rng(0).normal(size=(600, 3))
     points = np.concatenate([subject, far_points(subject, frames, 1_800)])
     start = from_points(points, np.full(points.shape, 0.5), capacity=len(points), sh_degree=0)
-    in_axes = np.stack([jax.vmap(world_to_camera, (0, None))(start.means, camera) for camera in cameras])
-    focal, middle = np.asarray(cameras[0].K)[0, 0], np.asarray(cameras[0].K)[:2, 2]
+    in_axes = np.stack([points @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3] for frame in frames])
+    focal, middle = frames[0].K[0, 0], frames[0].K[:2, 2]
     is_visible = (in_axes[..., 2] > 0) & np.all(np.abs(in_axes[..., :2]) * focal < middle * in_axes[..., 2:], -1)
     rows, size = jnp.zeros(len(points)), extent(frames)
     views, depths = (jnp.asarray(x.sum(0), jnp.float32) for x in (is_visible, is_visible * in_axes[..., 2] / size))
     sums = ErrorStatistics(rows, rows + 1, views, depths)
     how = {"density": Density(rule="error", replace=0.0), "extent": size, "prune_large": True}
-    after, _ = error_driven.densify(start, sums, KEY, **how, count=jnp.int32(len(points)))
+    after, _ = jax.jit(partial(error_driven.densify, **how))(start, sums, KEY, count=jnp.int32(len(points)))
     is_seen = is_visible.any(0)[600:]
     assert is_seen.mean() > 0.9
     assert alive(after)[600:][is_seen].all()
 
 
 @pytest.mark.parametrize("count", [0, 1, ROWS])
-@pytest.mark.parametrize("error", [0.0, 5.0, np.nan])
+@pytest.mark.parametrize("error", [5.0, np.nan])
 def test_hard_cases_stay_finite_and_within_the_budget(count, error):
     ends = {0: 1 - 1e-7, 1: 0.1001} if count > 1 else {}
     before = scene(count, opacity=ends)
@@ -194,8 +187,7 @@ def test_hard_cases_stay_finite_and_within_the_budget(count, error):
 
 
 def test_a_budget_of_one_gaussian_neither_grows_nor_dies():
-    one = jax.tree.map(lambda x: x[:1], scene(1))
-    sums = jax.tree.map(lambda x: x[:1], statistics(9.0, 1.0))
+    one, sums = (jax.tree.map(lambda x: x[:1], tree) for tree in (scene(1), statistics(9.0, 1.0)))
     after, moved = densified(one, sums)
     jax.tree.map(np.testing.assert_array_equal, after, one)
     assert not np.any(moved.fresh)
@@ -243,13 +235,12 @@ def setup():
 
 def dense_weights(gaussians: Gaussians, camera: Camera):
     """`[H, W, 3 + N]` the picture (degree 0) and every Gaussian's blending weight at every pixel, in float64."""
-    wide = jax.tree.map(lambda x: jnp.asarray(np.asarray(x, np.float64)), gaussians)
+    wide, viewmat, K = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), (gaussians, camera.viewmat, camera.K))
     colors = jnp.maximum(0.28209479177387814 * sh_coefficients(wide)[:, 0] + 0.5, 0)
     channels = jnp.concatenate([colors, jnp.eye(wide.num_gaussians)], -1)
-    cameras = [jnp.asarray(np.asarray(part, np.float64))[None] for part in (camera.viewmat, camera.K)]
     shape = wide.means, wide.quats, scales(wide), opacities(wide)
     size = camera.width, camera.height
-    return rasterizer.rasterization(*shape, channels, *cameras, *size, backend="reference")[0][0]
+    return rasterizer.rasterization(*shape, channels, viewmat[None], K[None], *size, backend="reference")[0][0]
 
 
 def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
@@ -259,11 +250,12 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
     state, _ = setup.seeing(setup.start(), target, KEY)
     with jax.enable_x64(True):
         batch = batches.decode(target, jnp.zeros(3, jnp.float32))
-        rendered = dense_weights(setup.start().gaussians, batch.camera)
+        rendered = jax.jit(dense_weights)(setup.start().gaussians, batch.camera)
         rendered, inside = np.asarray(rendered), np.asarray(batch.valid)
         error = np.abs(rendered[..., :3] - np.asarray(batch.image, np.float64)).mean(-1)[inside]
         weights = rendered[..., 3:][inside]
-    depths = np.asarray(jax.vmap(world_to_camera, (0, None))(setup.start().gaussians.means, batch.camera))[:, 2]
+    viewmat = np.asarray(batch.camera.viewmat)
+    depths = np.asarray(setup.start().gaussians.means) @ viewmat[2, :3] + viewmat[2, 3]
     assert 0.3 < np.mean(depths[:ALIVE] < EXTENT) < 0.7
     weights = weights * np.minimum(depths / EXTENT, 1) ** 2
     assert inside.sum() == 24 * 20
@@ -275,22 +267,15 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
     )
 
 
-def test_watching_changes_nothing_else(setup):
-    blind = setup.step(None)
-    target = setup.data.views[0]
+def test_watching_changes_nothing_else_and_views_add_up(setup):
+    target, other = setup.data.views
     watched, reported = setup.seeing(setup.start(), target, KEY)
-    unwatched, expected = blind(setup.start(), target, KEY)
+    unwatched, expected = setup.step(None)(setup.start(), target, KEY)
     assert float(reported.loss) == pytest.approx(float(expected.loss), rel=1e-6)
     assert_close(watched.gaussians.means, unwatched.gaussians.means)
     assert_close(watched.gaussians.logit_opacities, unwatched.gaussians.logit_opacities)
     assert not np.any(unwatched.statistics.error)
-
-
-def test_views_add_up_and_dead_rows_have_no_part(setup):
-    state = setup.start()
-    for target in setup.data.views:
-        state, _ = setup.seeing(state, target, KEY)
-    sums = jax.tree.map(np.asarray, state.statistics)
+    both, _ = setup.seeing(watched, other, KEY)
+    sums = jax.tree.map(np.asarray, both.statistics)
     assert set(np.unique(sums.views)) <= {0, 1, 2} and (sums.views[:ALIVE] == 2).mean() > 0.5
-    assert not any(x[ALIVE:].any() for x in (sums.error, sums.weight, sums.views))
-    assert np.all(sums.error <= sums.weight)
+    assert not any(x[ALIVE:].any() for x in (sums.error, sums.weight, sums.views)), "dead rows have no part"

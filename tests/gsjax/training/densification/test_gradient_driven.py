@@ -89,11 +89,7 @@ def test_a_large_gaussian_is_split_in_two_smaller_ones_inside_itself():
     for name in ("quats", "logit_opacities", "sh_dc", "sh_rest"):
         field = np.asarray(getattr(after, name))[halves]
         np.testing.assert_array_equal(field, np.repeat(np.asarray(getattr(before, name))[3:4], 2, axis=0))
-    offsets = (np.asarray(after.means)[halves] - np.asarray(before.means)[3]) @ np.asarray(
-        rotation_matrices(before.quats)[3]
-    )
-    assert np.abs(offsets[0] - offsets[1]).max() > 1e-3
-    assert np.all(np.abs(offsets) < 5 * np.asarray(scales(before))[3])
+    assert np.abs(np.subtract(*np.asarray(after.means)[halves])).max() > 1e-3
     assert_same_rows(after, before, [0, 1, 2, 4, 5, 6, 7, 8, 9])
 
 
@@ -107,14 +103,6 @@ def test_split_positions_are_samples_of_the_gaussian():
     np.testing.assert_allclose(samples.mean(0), np.zeros(3), atol=0.08 * expected.max())
 
 
-def test_the_limit_between_clone_and_split_is_a_share_of_the_extent():
-    before = scene(size={1: 0.0999, 2: 0.1001})
-    after, _ = densified(before, gradients({1: 1.0, 2: 1.0}))
-    largest = np.asarray(scales(after)).max(1)
-    np.testing.assert_allclose(largest[1], 0.0999, rtol=1e-5)
-    np.testing.assert_allclose(largest[2], 0.1001 / 1.6, rtol=1e-5)
-
-
 def test_when_rows_are_short_the_largest_gradients_win():
     means = {row: 1 + 0.1 * ((7 * row) % 10) for row in range(ALIVE)}
     after, moved = densified(scene(), gradients(means))
@@ -122,13 +110,6 @@ def test_when_rows_are_short_the_largest_gradients_win():
     winners = sorted(means, key=means.get)[-(CAPACITY - ALIVE) :]
     assert sorted(np.asarray(moved.source)[ALIVE:]) == sorted(winners)
     np.testing.assert_array_equal(np.asarray(moved.source)[:ALIVE], np.arange(ALIVE))
-
-
-def test_a_full_buffer_of_opaque_gaussians_stays_as_it_is():
-    full = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9), size={0: 0.4})
-    after, moved = densified(full, gradients(dict.fromkeys(range(CAPACITY), 9.0)))
-    assert_same_rows(after, full, slice(None))
-    assert not np.any(moved.fresh)
 
 
 def test_faint_gaussians_die_and_their_rows_serve_at_once():
@@ -139,18 +120,6 @@ def test_faint_gaussians_die_and_their_rows_serve_at_once():
     # A dying one does not grow, and its row is the first that is given away.
     after, moved = densified(before, gradients({0: 9.0, 3: 1.0}))
     assert int(moved.source[0]) == 3 and alive(after)[0] and alive(after).sum() == ALIVE - 1
-
-
-def test_a_large_gaussian_that_grows_leaves_its_halves_behind_where_these_are_small_enough():
-    before = scene(size={1: 5.1, 4: 7.9, 7: 8.1, 9: 7.0})  # halves of 3.2, 4.9 and 5.1; the last one is well fitted
-    after, moved = densified(before, gradients({1: 1.0, 4: 2.0, 7: 9.0}), prune_large=True)
-    survivors = {row: float(scales(after)[row].max()) for row in np.flatnonzero(alive(after))}
-    # The doomed ones' rows, 7 and 9, are the first that are free: the steeper gradient gets the first.
-    assert (int(moved.source[7]), int(moved.source[9])) == (4, 1)
-    assert len(survivors) == ALIVE
-    for row, size in ((1, 5.1), (9, 5.1), (4, 7.9), (7, 7.9)):
-        assert survivors[row] == pytest.approx(size / 1.6, rel=1e-5)
-    assert max(survivors.values()) < 5
 
 
 def test_a_large_gaussian_that_finds_no_row_for_its_second_half_waits():
@@ -175,50 +144,13 @@ def densify_and_prune_of_3dgs(gaussians, gradient, prune_large):
 
 @pytest.mark.parametrize("prune_large", [False, True])
 def test_with_room_enough_what_is_left_is_what_3dgs_leaves(prune_large):
-    sizes = {0: 0.3, 1: 6.0, 2: 7.5, 3: 9.0, 4: 5.5, 6: 0.2}
+    sizes = {0: 0.1001, 1: 6.0, 2: 7.5, 3: 9.0, 4: 5.5, 5: 0.0999, 6: 0.2}
     gradient = {0: 1.0, 1: 0.7, 3: 2.0, 5: 0.9, 6: 3.0, 7: 0.4, 8: 5.0}
     before = scene(opacity={6: 0.05, 8: 0.02, 9: 0.3}, size=sizes)
     after, _ = densified(before, gradients(gradient), prune_large)
     sizes_and_opacities = (np.asarray(scales(after).max(1)), np.asarray(opacities(after)))
     remaining = sorted(zip(*(values[alive(after)] for values in sizes_and_opacities), strict=True))
     np.testing.assert_allclose(remaining, densify_and_prune_of_3dgs(before, gradient, prune_large), rtol=1e-5)
-
-
-def steps_where(rule, *arguments, density, last=100):
-    return [step for step in range(1, last + 1) if rule(density, step, *arguments)]
-
-
-def test_densification_is_due_between_its_bounds():
-    assert steps_where(control.densifies, density=Density(start=20, stop=60, every=10)) == [30, 40, 50]
-
-
-@pytest.mark.parametrize(
-    ("settings", "first"),
-    [
-        ({}, 41),  # after the first reset, as in 3DGS
-        ({"reset_every": 0}, 17),  # without resets: past a fifth of the 80 steps
-    ],
-)
-def test_size_prunes_from_a_step_on_also_where_opacities_are_never_reset(settings, first):
-    density = Density(**{"stop": 80, "reset_every": 40, **settings})
-    assert steps_where(control.prunes_large, density=density) == list(range(first, 101))
-    assert min(steps_where(control.prunes_large, density=Density(), last=3100)) == 3001
-    assert min(steps_where(control.prunes_large, density=Density(reset_every=0), last=3100)) == 3001
-
-
-@pytest.mark.parametrize(
-    ("background", "settings", "expected"),
-    [
-        ("black", {}, [40]),
-        ("white", {}, [15, 40]),  # what was fitted to the white goes once more, before anything grows
-        ("random", {}, [40]),
-        ("white", {"reset_every": 0}, []),  # resets are off: all of them
-        ("white", {"start": 80}, [40]),
-    ],
-)
-def test_opacities_are_reset_now_and_then_and_at_the_start_over_white(background, settings, expected):
-    density = Density(**{"start": 15, "stop": 80, "reset_every": 40, **settings})
-    assert steps_where(control.resets_opacities, background, density=density) == expected
 
 
 def test_gaussians_never_seen_stay_as_they_are():
@@ -232,33 +164,8 @@ def test_gaussians_never_seen_stay_as_they_are():
 def test_accumulated_gradients_are_norms_in_ndc_units_of_the_visible():
     gradient = np.random.default_rng(0).normal(size=(CAPACITY, 2))
     visible = np.arange(CAPACITY) % 3 > 0
-    statistics = control.empty_statistics(CAPACITY)
-    for _ in range(2):
-        statistics = control.accumulate(
-            statistics,
-            jnp.asarray(gradient, jnp.float32),
-            jnp.asarray(visible),
-            jnp.ones(CAPACITY, jnp.float32),
-            jnp.array([40, 30], jnp.int32),
-        )
+    view = jnp.asarray(gradient, jnp.float32), jnp.asarray(visible), jnp.ones(CAPACITY), jnp.array([40, 30])
+    statistics = control.accumulate(control.accumulate(control.empty_statistics(CAPACITY), *view), *view)
     expected = np.where(visible, np.linalg.norm(gradient * [20, 15], axis=1), 0)
     assert_close(statistics.gradient, 2 * expected)
     assert_close(statistics.views, 2.0 * visible)
-
-
-def test_reset_caps_opacities_and_leaves_the_dead_dead():
-    before = scene(opacity={1: 0.005})
-    after = control.reset_opacities(before, 0.01)
-    expected = np.where(np.arange(CAPACITY) < ALIVE, 0.01, 0)
-    expected[1] = 0.005
-    assert_close(opacities(after), expected)
-    np.testing.assert_array_equal(alive(after), alive(before))
-    assert_same_rows(after.log_scales, before.log_scales, slice(None))
-
-
-def test_cull_removes_what_is_fainter():
-    before = scene(opacity={2: 0.49, 3: 0.51})
-    after = control.cull(before, 0.5)
-    np.testing.assert_array_equal(alive(after), alive(before) & (np.arange(CAPACITY) != 2))
-    is_alive = alive(after)
-    assert_same_rows(after, before, is_alive)

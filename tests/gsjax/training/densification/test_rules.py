@@ -31,12 +31,6 @@ SETTINGS = Settings(
 )
 
 
-@pytest.fixture(scope="module")
-def frames():
-    cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
-    return photographed(cloud(50, seed=5), cameras)
-
-
 def _target_count(gaussians, statistics, density, *, step, budget):
     return jnp.int32(2 * ALIVE)
 
@@ -59,11 +53,12 @@ DOUBLING = DENSIFICATION_RULES["adc"]._replace(  # Under `gradient=1e9` the rule
 )
 
 
-def trained(frames, rules, state, monkeypatch):
-    """A run whose phases have these rules; the states after its steps."""
+def test_the_rule_of_a_phase_gathers_makes_room_and_densifies_and_the_next_begins_with_sums_of_its_own(monkeypatch):
+    """So does the first phase, whose state was made for the rule of 3DGS."""
     monkeypatch.setattr(buffers, "_fewest_rows", lambda: 8)
-    watched = []
-    planned = plan(SETTINGS)
+    cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
+    frames, planned, watched = photographed(cloud(50, seed=5), cameras), plan(SETTINGS), []
+    rules = DOUBLING, DENSIFICATION_RULES["adc"]
     phases = tuple(replace(phase, rule=rule) for phase, rule in zip(planned.phases, rules, strict=True))
     work = Work(
         replace(planned, phases=phases),
@@ -72,22 +67,10 @@ def trained(frames, rules, state, monkeypatch):
         OPTIMIZER,
         observe=lambda progress: watched.append(jax.tree.map(np.array, progress.state)),
     )
-    follow(work, state, 8192)
-    return watched
-
-
-def test_the_rule_of_a_phase_gathers_makes_room_and_densifies(frames, monkeypatch):
-    state = initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER, DOUBLING)
-    watched = trained(frames, (DOUBLING, None), state, monkeypatch)
+    follow(work, initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER), 8192)
     assert [int(count_alive(each.gaussians)) for each in watched[:4]] == [ALIVE, ALIVE, 2 * ALIVE, 2 * ALIVE]
     assert watched[1].statistics["seen"].max() == 2 and watched[2].statistics["seen"].max() == 0
     assert watched[1].gaussians.num_gaussians == ROWS < 2 * ALIVE <= watched[2].gaussians.num_gaussians
-
-
-def test_a_phase_with_another_rule_begins_with_sums_of_its_own(frames, monkeypatch):
-    """Also a first phase, whose state was made for the rule of 3DGS."""
-    state = initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER)
-    watched = trained(frames, (DOUBLING, DENSIFICATION_RULES["adc"]), state, monkeypatch)
     assert watched[6].statistics.views.max() == 1, "after the first step of the second phase"
     assert watched[-1].statistics.views.shape == (watched[-1].gaussians.num_gaussians,)
 
@@ -105,19 +88,18 @@ def _densified(state):
 
 
 @pytest.mark.parametrize(
-    ("name", "change"),
+    "change",
     [
-        ("densify", _densified),
-        ("reset_opacities", lambda state: states.reset_opacities(state, optimizer=OPTIMIZER, limit=0.01)),
-        ("cull", lambda state: states.cull(state, optimizer=OPTIMIZER, min_opacity=0.5)),
-        ("remove", lambda state: states.remove(state, jnp.arange(ROWS) < 5, optimizer=OPTIMIZER)),
+        _densified,
+        lambda state: states.reset_opacities(state, optimizer=OPTIMIZER, limit=0.01),
+        lambda state: states.cull(state, optimizer=OPTIMIZER, min_opacity=0.5),
+        lambda state: states.remove(state, jnp.arange(ROWS) < 5, optimizer=OPTIMIZER),
     ],
 )
-def test_a_function_that_takes_its_state_says_so(name, change):
+def test_a_changed_state_takes_the_arrays_of_the_one_before(change):
     state = jax.tree.map(jnp.array, initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER))
     changed = change(state)
     assert state.gaussians.means.is_deleted() and not changed.gaussians.means.is_deleted()
     with pytest.raises(RuntimeError, match="deleted"):
         np.asarray(state.gaussians.means)
-    assert "The state is donated: its arrays are deleted" in getattr(states, name).__doc__
     assert np.all(np.asarray(changed.gaussians.logit_opacities) >= DEAD_LOGIT)

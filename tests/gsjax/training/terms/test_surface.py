@@ -23,6 +23,7 @@ COUNT = 16
 CLOUD = cloud(COUNT, sh_degree=0)
 FIELDS = ("means", "quats", "log_scales", "logit_opacities")
 ALL = jnp.ones((20, 24), bool)
+SOME = ALL.at[:, 20:].set(False)
 FACING = (0.0, 0.0, -1.0)
 
 
@@ -34,7 +35,7 @@ def render_view(gaussians, depth_mode="plane"):
     return View(None, alphas, expected, splats, axes=rendering.features(splats, axes)[0])
 
 
-def value(gaussians, valid=ALL, depth_mode="plane"):
+def value(gaussians, valid, depth_mode="plane"):
     return depth_normal(gaussians, render_view(gaussians, depth_mode), Batch(CAMERA, None, valid, None, None))
 
 
@@ -65,7 +66,7 @@ def dense_depth(weight, z):
     return alphas, covered, jnp.where(covered, jnp.sum(weight * z, -1), 1) / jnp.where(covered, alphas, 1)
 
 
-def dense_depth_normal(gaussians, depth_mode="plane"):
+def dense_depth_normal(gaussians, valid, depth_mode="plane"):
     """From the smallest axis of every splat, and the normals of the dense depth."""
     weight, z, order = dense(gaussians, depth_mode)
     alphas, covered, here = dense_depth(weight, z)
@@ -75,7 +76,7 @@ def dense_depth_normal(gaussians, depth_mode="plane"):
     facing = jnp.where(jnp.sum(axes * gaussians.means, -1, keepdims=True) > 0, -axes, axes)[order]
     apart = jnp.sum(weight * (1 - jnp.einsum("nk,hwk->hwn", facing, of_depth)), -1)
     fixed_alphas = jax.lax.stop_gradient(alphas)  # Of the sum of weights only the part with a normal has a gradient.
-    return masked_mean(fixed_alphas * (apart - alphas + fixed_alphas), jnp.any(of_depth != 0, -1))
+    return masked_mean(fixed_alphas * (apart - alphas + fixed_alphas), valid & jnp.any(of_depth != 0, -1))
 
 
 dense_value_and_gradient = jax.jit(jax.value_and_grad(dense_depth_normal))
@@ -106,7 +107,6 @@ SCENES = {
     "a cloud a thousand units away": larger(CLOUD, 250),
     "two layers": layers(4.0, 0.4),
     "two thin layers": layers(4.0, 0.02),
-    "two thin layers a thousand units away": layers(1000.0, 5.0),
     "two slanted layers a thousand units away": layers(1000.0, 20.0, normal=(0.4, -0.3, -1.0)),
 }
 
@@ -114,9 +114,9 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_the_term_is_that_of_all_splats_at_all_pixels(name):
     with jax.enable_x64(True):
-        exact = dense_value_and_gradient(in_float64(SCENES[name]))
+        exact = dense_value_and_gradient(in_float64(SCENES[name]), SOME)
     expected_value, slopes = jax.tree.map(np.asarray, exact)
-    value, gradient = value_and_gradient(SCENES[name])
+    value, gradient = value_and_gradient(SCENES[name], SOME)
     assert expected_value > 1e-6
     assert_close(value, expected_value, rtol=1e-4, atol=2e-8, why="a sum of weights in float32, less one")
     for field in FIELDS:
@@ -127,13 +127,13 @@ def test_the_term_is_that_of_all_splats_at_all_pixels(name):
 def test_of_centers_too():
     result = jax.jit(value, static_argnums=2)(CLOUD, ALL, "center")
     with jax.enable_x64(True):
-        expected = np.asarray(jax.jit(dense_depth_normal, static_argnums=1)(in_float64(CLOUD), "center"))
+        expected = np.asarray(jax.jit(dense_depth_normal, static_argnums=2)(in_float64(CLOUD), ALL, "center"))
     assert_close(result, expected)
 
 
 def test_splats_that_lie_on_their_surface_agree_with_its_depth():
     for normal in (FACING, (0.4, -0.3, -1.0)):
-        value, gradient = value_and_gradient(plane(normal, per_side=4, spacing=0.8, opacity=0.97))
+        value, gradient = value_and_gradient(plane(normal, per_side=4, spacing=0.8, opacity=0.97), ALL)
         assert 0 <= float(value) < 5e-3
         assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
 
@@ -149,11 +149,3 @@ def test_without_a_surface_there_is_neither_value_nor_gradient():
         value, gradient = value_and_gradient(scene, valid)
         assert float(value) == 0
         assert all(not np.any(leaf) for leaf in jax.tree.leaves(gradient))
-
-
-def test_pixels_that_do_not_count_do_not_matter():
-    scene = SCENES["a cloud"]
-    half = ALL.at[:, 12:].set(False)
-    both = [value_and_gradient(scene, valid) for valid in (half, ALL & ~half)]
-    assert float(both[0][0]) != float(both[1][0])
-    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(both))
