@@ -61,8 +61,9 @@ def test_the_loop_of_the_readme_trains_and_a_command_names_the_extra_that_it_nee
 
 
 @pytest.mark.long
-def test_the_command_trains_and_says_that_it_writes_no_report(run_core):
+def test_the_command_trains_without_stereo_and_report_and_says_so(run_core):
     ended = run_core(TRAIN)
     assert ended.returncode == 0, ended.stderr
-    line = "no report: cannot load jinja2 (No module named 'jinja2'); install it with: pip install 'gsjax[view]'"
-    assert line in ended.stderr
+    for what, package, extra in [("multi-view stereo", "cv2", "sfm"), ("report", "jinja2", "view")]:
+        line = f"no {what}: cannot load {package} (No module named '{package}'); install it with: "
+        assert f"{line}pip install 'gsjax[{extra}]'" in ended.stderr

@@ -153,7 +153,8 @@ def prepare(request: Asked, loaded: Loaded) -> Prepared:
     stereo = stereo_supervision(scene, settings, request.out if request.resumed else None)
     depths = measured.depths if measured else stereo.depths(scene.train_frames)
     planned = memory.plan if depths else memory.plan.without("measured")
-    report(measured and f"depth {measured.line}", stereo.line if stereo.maps else _own_normals_line(planned))
+    normals_line = stereo.line if stereo.maps else _own_normals_line(planned)
+    report(measured and f"depth {measured.line}", stereo.fault, normals_line)
     normals = NormalSource(
         request.out,
         planned.normals,

@@ -44,7 +44,7 @@ def with_stereo_points(scene: Scene, planned: Plan, depths: Callable[[], PhotoDe
         return scene, ()
     swept = depths()
     if not swept.accepted:
-        return scene, ()
+        return scene, (f"no points by stereo: {swept.fault}",) if swept.fault else ()
     added = stereo_points(swept, count)
     points = np.concatenate([scene.points, added.points])
     return replace(scene, points=points, point_colors=np.concatenate([scene.point_colors, added.colors])), (added.line,)

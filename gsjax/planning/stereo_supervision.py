@@ -23,6 +23,11 @@ class StereoSupervision(NamedTuple):
     line: str | None = None  # how many photos have depth
 
     @property
+    def fault(self) -> str | None:
+        """Why there is no stereo although the settings request it; None: there is, or they do not."""
+        return self.swept and self.swept.fault and f"no multi-view stereo: {self.swept.fault}"
+
+    @property
     def normals(self) -> dict[str, np.ndarray]:
         """Normals by the photo's name."""
         return {name: each.normals for name, each in self.maps.items()}

@@ -8,6 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
 
+from gsjax.io.packages import MissingPackageError, require
 from gsjax.io.parallel_map import parallel_map
 from gsjax.scene import Scene
 from gsjax.stereo.aggregation import best_planes
@@ -50,6 +51,7 @@ class PhotoDepths(NamedTuple):
 
     accepted: tuple[PhotoDepth, ...]  # whose matched points confirm their depth
     compared: int  # how many photos were compared
+    fault: str | None = None  # which package is missing, so that none was
 
     @property
     def line(self) -> str:
@@ -72,11 +74,15 @@ def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
 
     Args:
         scene: A loaded data set; without tracks no photo is compared.
-        most: Photos that are compared; of more, some, evenly by name.
+        most: Photos that are compared; of more, some, evenly by name. Without OpenCV, none.
 
     Raises:
         InputError: The tracks cannot be read, or name points that the scene does not have.
     """
+    try:
+        require("cv2")
+    except MissingPackageError as error:
+        return PhotoDepths((), 0, str(error))
     views = stereo_views(scene, most)
     if len(views) < 2:
         return PhotoDepths((), len(views))

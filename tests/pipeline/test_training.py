@@ -190,7 +190,7 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
     assert not any("held_out_psnr" in record for record in runs.read_metrics(tmp_path / "run"))
     figures = pipeline.evaluate(tmp_path / "run", mesh=scene / "gt_mesh.ply")
     assert (figures["psnr"], figures["views"]) == (None, 0)
-    assert figures["chamfer"] < 0.02, "the true mesh"
+    assert figures["chamfer"] < 0.025, "the true mesh: 0.021, as its samples lie apart"
     assert figures["distances"] == "point to point" and "floor" not in figures, (
         "its triangles are not beside the points"
     )

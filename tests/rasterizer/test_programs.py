@@ -2,14 +2,18 @@
 
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxprs import equations
 from scenes import cloud, loss, render
+from tolerances import assert_close
 
-from rasterizer import INRIA
+import rasterizer
+from rasterizer import INRIA, tracing
 
 COUNT = 41  # Like no other size in the program.
 
@@ -60,6 +64,20 @@ def test_only_the_bands_of_the_degree_are_evaluated(degree):
     assert [uses_constant(program, c) for c in leading_constants] == [d <= degree for d in range(5)]
 
 
+def test_depth_alone_never_touches_the_colours():
+    scene = transparent(cloud(COUNT, sh_degree=4))
+    assert (COUNT, 25, 3) in shapes(forward(scene, sh_degree=4))
+    assert (COUNT, 25, 3) not in shapes(forward(scene, sh_degree=4, render_mode="D"))
+
+
+def test_expected_depth_alone_divides_the_image():
+    def divides(mode):
+        program = forward(transparent(cloud(COUNT)), render_mode=mode)
+        return any(e.primitive.name == "div" and e.outvars[0].aval.shape == (1, 29, 37, 1) for e in program)
+
+    assert [divides(m) for m in ("RGB", "D", "RGB+D", "ED", "RGB+ED")] == [False, False, False, True, True]
+
+
 def operations(program):
     """How many equations of each primitive."""
     return Counter(e.primitive.name for e in program)
@@ -83,6 +101,24 @@ def test_an_option_adds_its_operations_and_its_absence_none(name):
         assert sum(with_it.values()) > sum(without.values())
     for primitive in primitives:
         assert with_it[primitive] > without[primitive]
+
+
+def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
+    """There the branch is a wall to fusion; a GPU would wait for it."""
+    scene = transparent(cloud(COUNT))
+    shape = scene.means, scene.quats, scene.scales, scene.opacities, scene.viewmats, scene.Ks
+
+    def branches():
+        def total(*arrays):
+            return jnp.sum(rasterizer.project(*arrays, scene.width, scene.height, backend="xla").conics)
+
+        return operations(equations(jax.make_jaxpr(jax.grad(total))(*shape).jaxpr))["cond"], total(*shape)
+
+    on_cpu, expected = branches()
+    monkeypatch.setattr(tracing, "default_device", lambda: SimpleNamespace(platform="gpu"))
+    on_gpu, value = branches()
+    assert on_cpu >= 2 and on_gpu == 0
+    assert_close(value, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
 
 
 def test_no_array_of_tiles_by_splats_nor_of_pairs_by_pixels():

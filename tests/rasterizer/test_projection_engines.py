@@ -57,20 +57,15 @@ def hard_and_random():
 def with_gradients(arrays, cotangents, *, backend, **options):
     """What shows, its numbers, and gradients to means, quats and scales of them times cotangents."""
 
-    def shown(means, quats, scales):
+    def visible_parts(means, quats, scales):
         p = project(means, quats, scales, *arrays[3:], WIDTH, HEIGHT, backend=backend, **options)
         parts = {name: part for name in DIFFERENTIABLE if (part := getattr(p, name)) is not None}
-        return {
-            n: jnp.where(p.visible.reshape(*p.visible.shape, *[1] * (x.ndim - 2)), x, 0) for n, x in parts.items()
-        }, p
+        return {n: jnp.where(jnp.expand_dims(p.visible, range(2, x.ndim)), x, 0) for n, x in parts.items()}, p
 
-    parts, pullback, projection = jax.vjp(shown, *arrays[:3], has_aux=True)
+    parts, pullback, projection = jax.vjp(visible_parts, *arrays[:3], has_aux=True)
     pulled = pullback({name: cotangents[name].astype(part.dtype) for name, part in parts.items()})
-    return (
-        projection.visible,
-        parts | {"extents": projection.extents},
-        dict(zip(("means", "quats", "scales"), pulled, strict=True)),
-    )
+    gradients = dict(zip(("means", "quats", "scales"), pulled, strict=True))
+    return projection.visible, parts | {"extents": projection.extents}, gradients
 
 
 @pytest.mark.parametrize("mode", OPTIONS)
