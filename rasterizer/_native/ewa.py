@@ -26,7 +26,6 @@ class Lens(NamedTuple):
     center: tuple
     least: tuple  # slopes at which the affine approximation is taken, at least and at most
     most: tuple
-    size: tuple
     eps2d: np.float32
     near: np.float32
     far: np.float32

@@ -144,7 +144,6 @@ def lens_of(job, camera):
         (cx, cy),
         (-cx / fx - MARGIN * width / fx, -cy / fy - MARGIN * height / fy),
         ((width - cx) / fx + MARGIN * width / fx, (height - cy) / fy + MARGIN * height / fy),
-        (width, height),
         options[_EPS2D],
         options[_NEAR],
         options[_FAR],

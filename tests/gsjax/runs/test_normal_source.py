@@ -188,7 +188,7 @@ def test_stereo_normals_serve_where_no_maps_are_given_or_these_are_rejected(tilt
 def test_the_verdict_on_own_normals_says_how_often_photos_are_compared(
     tilted, foreign, tmp_path, monkeypatch, apart, shares, suffix
 ):
-    """Those with maps of a network, and with maps that nobody judges, in all steps."""
+    """Runs with maps of a network, and runs with maps that are not filtered, use them in all steps."""
 
     def leave_verdict(folder, gaussians, frames, maps, depth_mode, *, keep, notify):
         photos = {frame.name: {"apart": degrees} for frame, degrees in zip(frames, apart, strict=True)}
