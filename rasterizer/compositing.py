@@ -45,12 +45,14 @@ class Engine(NamedTuple):
 
     # (static, rows, lists) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists: splats and offsets of `TilePairs`.
     forward: Callable[..., Blended]
-    # (static, rows, lists, transmittance, last, d_features, d_transmittance, *residuals) -> [M, 6 + D], dL/drows
+    # (static, rows, lists, transmittance, last, d_features, d_transmittance, *residuals) -> [M, 6 + D], dL/drows.
+    # Probes have no column in `rows`; the last columns of `d_features` and of the result are theirs.
     backward: Callable[..., Array]
     # (projection, opacities, grid, capacity, rules, masks) -> TilePairs
     list_splats: Callable[..., TilePairs] = bin_splats
     tile_size: int = 8  # default side of a tile, pixels
     check_side: Callable[[int], None] = lambda _: None  # raises ValueError for a side that the passes cannot hold
+    takes_probes: bool = False  # else they are composited as channels of zeros
     # The same engine with lists in memory of its own. Its `list_splats` takes no capacity and returns the arrays that
     # the lists are made of, without gradient; its passes take these for `lists`.
     unlisted: "Engine | None" = None
@@ -64,6 +66,7 @@ class Static(NamedTuple):
     engine: Engine
     with_median: bool = False
     front: Front | None = None
+    probes: int = 0  # channels of zeros: the image has them for their gradient alone
     # (static, rows, ..., d_transmittance) -> [M, 2] absolute gradients to means, summed over pixels; None: not computed
     absolute: Callable[..., Array] | None = None
 
@@ -157,6 +160,7 @@ def composite(
     features: Array,
     lists: tuple[Array, ...],
     absgrad: Array | None = None,
+    probes: Array | None = None,
 ):
     """Blend the listed splats front to back.
 
@@ -169,22 +173,25 @@ def composite(
         features: `[M, D]` any channels.
         lists: `[capacity]` splats and `[num_tiles + 1]` offsets of `TilePairs`; of an unlisted engine, its own arrays.
         absgrad: `[M, 2]` anything, with `static.absolute`: nothing depends on it, and its gradient are those sums.
+        probes: `[M, K]` channels of zeros, with `static.probes` K.
 
     Returns:
-        `[C, H, W, D]` blended features on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
-        in which the light falls to one half (the last one that shows, where it does not; -1 for none), or None.
+        `[C, H, W, D + K]` blended features on nothing and zeros, `[C, H, W, 1]` transmittance left, and `[C, H, W]`
+        int32 the splat in which the light falls to one half (the last one that shows, where it does not; -1 for none),
+        or None.
     """
-    return _composite_fwd(static, means2d, conics, opacities, features, lists, absgrad)[0]
+    return _composite_fwd(static, means2d, conics, opacities, features, lists, absgrad, probes)[0]
 
 
-def _composite_fwd(static, means2d, conics, opacities, features, lists, absgrad):
-    del absgrad
+def _composite_fwd(static, means2d, conics, opacities, features, lists, absgrad, probes):
+    del absgrad, probes
     rows = _splat_rows(means2d, conics, opacities, features)
     blended = without_axes(partial(static.engine.forward, static), rows, lists)
     image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
     median = None if blended.median is None else to_image(blended.median[:, None], static.grid)[..., 0]
     residuals = (rows, lists, blended.transmittance, blended.last), blended.residuals
-    return (image[..., :-1], image[..., -1:], median), residuals
+    blended_features = jnp.pad(image[..., :-1], ((0, 0), (0, 0), (0, 0), (0, static.probes)))
+    return (blended_features, image[..., -1:], median), residuals
 
 
 def _composite_bwd(static, residuals, cotangents):
@@ -193,7 +200,9 @@ def _composite_bwd(static, residuals, cotangents):
     arguments = *of_all, d_tiles[:, :-1], d_tiles[:, -1]
     d_rows = without_axes(partial(static.engine.backward, static), *arguments, *of_engine)
     absolute = without_axes(partial(static.absolute, static), *arguments) if static.absolute else None
-    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, absolute
+    width = of_all[0].shape[1]
+    d_probes = d_rows[:, width:] if static.probes else None
+    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:width], None, absolute, d_probes
 
 
 composite.defvjp(_composite_fwd, _composite_bwd)

@@ -156,7 +156,8 @@ def blend(
     with_median: bool = False,
     front: Front | None = None,
     absgrad: Float[Array, "C N 2"] | None = None,
-) -> tuple[Float[Array, "C H W D"], Float[Array, "C H W 1"], Int32[Array, "C H W"] | None]:
+    probes: Float[Array, "C N K"] | None = None,
+) -> tuple[Float[Array, "C H W _"], Float[Array, "C H W 1"], Int32[Array, "C H W"] | None]:
     """Blend any channels over given lists: one binning serves several passes.
 
     Args:
@@ -173,11 +174,13 @@ def blend(
         front: How many of the last channels end with the first layers, and where. Static.
         absgrad: Zeros: nothing depends on them, and their gradient is the sum over pixels of *absolute*
             gradients to `means2d`, which AbsGS splits by. One more pass over the pairs, in jnp whatever the backend.
+        probes: Channels of zeros behind the features. Their gradient is, as that of every channel, the sum over pixels
+            of blending weights times the cotangent; the native loops spend nothing on them in the image.
 
     Returns:
-        The features blended on nothing, the transmittance left, and the splat c * N + n in which each pixel's light
-        falls to one half (the last one that shows, where it does not; -1 for none), or None. Differentiable to
-        `means2d` and `conics` of the projection, opacities and features.
+        The features blended on nothing and the probes' zeros, the transmittance left, and the splat c * N + n in which
+        each pixel's light falls to one half (the last one that shows, where it does not; -1 for none), or None.
+        Differentiable to `means2d` and `conics` of the projection, opacities, features and probes.
 
     Raises:
         ValueError: If the tiles do not suit the backend, there is no camera or no channel, or `absgrad` is given to
@@ -185,14 +188,19 @@ def blend(
             backend does not list splats by itself.
         TypeError: In forward mode, or differentiated a second time, unless the backend is "reference".
     """
-    projection, opacities, features, pairs, absgrad = vary_alike((projection, opacities, features, pairs, absgrad))
+    arrays = projection, opacities, features, pairs, absgrad, probes
+    projection, opacities, features, pairs, absgrad, probes = vary_alike(arrays)
     opacities = jnp.broadcast_to(opacities, projection.depths.shape)
     kind, engine, channels = resolve(backend), _engine(backend), features.shape[2]
     _check_blend(kind, engine, features, pairs, grid, absgrad)
+    num_probes = 0 if probes is None else probes.shape[2]
+    if probes is not None and (not engine.takes_probes or channels + num_probes > CHANNEL_CHUNK):
+        how = {"rules": rules, "backend": backend, "masks": masks, "with_median": with_median, "absgrad": absgrad}
+        return _with_zeros(partial(blend, projection, opacities, **how), features, probes, pairs, grid, front)
     if features.shape[1] == 0:
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None
-        return jnp.zeros((*shape, channels), features.dtype), jnp.ones((*shape, 1), features.dtype), median
+        return jnp.zeros((*shape, channels + num_probes), features.dtype), jnp.ones((*shape, 1), features.dtype), median
     if kind == "reference":
         # Depth has channels of its own: no feature is read on a splat's plane.
         dtype = projection.means2d.dtype
@@ -211,9 +219,19 @@ def blend(
     splats = projection.means2d, projection.conics, jnp.where(projection.visible, opacities, 0)
     splats = (reverse_only(in_float32(x).reshape(-1, *x.shape[2:])) for x in splats)
     flat = reverse_only(in_float32(features).reshape(-1, channels))
-    probe = None if absgrad is None else reverse_only(in_float32(absgrad).reshape(-1, 2))
-    static = Static(grid, rules, engine, with_median, front, None if absgrad is None else _xla.absolute_gradients)
-    return _in_passes(partial(composite, static, *splats), flat, lists, probe)
+    beside = (None if x is None else reverse_only(in_float32(x).reshape(-1, x.shape[2])) for x in (absgrad, probes))
+    absolute = None if absgrad is None else _xla.absolute_gradients
+    static = Static(grid, rules, engine, with_median, front, num_probes, absolute)
+    return _in_passes(partial(composite, static, *splats), flat, lists, *beside)
+
+
+def _with_zeros(blend_features: Callable, features: Array, probes: Array, pairs, grid: TileGrid, front: Front | None):
+    """`blend` with probes as channels of zeros, before those that end in front; in its image they come last."""
+    end, count = features.shape[2] - (front.channels if front else 0), probes.shape[2]
+    joined = jnp.concatenate([features[..., :end], probes.astype(features.dtype), features[..., end:]], -1)
+    image, left, median = blend_features(joined, pairs, grid, front=front)
+    before, zeros, behind = jnp.split(image, [end, end + count], -1)
+    return jnp.concatenate([before, behind, zeros], -1), left, median
 
 
 def _in_passes(blend_channels: Callable, features: Array, *others) -> tuple[Array, Array, Array | None]:

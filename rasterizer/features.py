@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int32
 
+from rasterizer.covariances import components
 from rasterizer.ewa import Projection
 from rasterizer.harmonics import spherical_harmonics
 
@@ -69,8 +70,8 @@ def depth_channels(projection: Projection, width: int, height: int) -> Float[Arr
     """
     if projection.slopes is None:
         return center_channels(projection)
-    from_mean = jnp.array([[[0.5 * width, 0.5 * height]]], projection.means2d.dtype) - projection.means2d
-    in_the_middle = projection.depths + jnp.sum(projection.slopes * from_mean, -1)
+    (x, y), (slope_x, slope_y) = components(projection.means2d), components(projection.slopes)
+    in_the_middle = projection.depths + (slope_x * (0.5 * width - x) + slope_y * (0.5 * height - y))
     planes = jnp.concatenate([in_the_middle[..., None], projection.slopes], -1)
     return jnp.where(projection.visible[..., None], planes, 0)
 

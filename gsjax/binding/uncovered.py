@@ -80,10 +80,10 @@ def _light(gaussians: Gaussians, target: Batch, mesh_depth: Array, *, capacity: 
             background=black,
             with_depth=True,
             depth_mode=depth_mode,
-            extra=probe,
+            probes=probe,
         )
-        assert view.extra is not None and view.depth is not None
-        return view.extra, (view.depth, view.splats.projection.depths[0])
+        assert view.probes is not None and view.depth is not None
+        return view.probes, (view.depth, view.splats.projection.depths[0])
 
     # The image is linear in the probe, and blending weights times whatever a pixel holds are its gradient.
     nothing = jnp.zeros((gaussians.num_gaussians, 4), jnp.float32)

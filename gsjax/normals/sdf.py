@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from gsjax import rendering
 from gsjax.gaussians import Gaussians
-from gsjax.numerics import masked_mean, safe_normalize, times
+from gsjax.numerics import dot, masked_mean, safe_normalize, times
 from gsjax.rendering import View
 from gsjax.rendering.sampling import reads_within, sample_bilinear
 from gsjax.scene import cameras
@@ -143,15 +143,15 @@ def misaligned(directions: Array, normals: Array, valid: Array) -> tuple[Array, 
     """`[H, W]` 1 - |cos| of every pixel, and `[H, W]` how much it counts in a mean; arguments as `misalignment` has."""
     unit = safe_normalize(directions, eps=1e-6)
     target = safe_normalize(normals)
-    usable = valid & (jnp.sum(unit * unit, -1) > 0.5) & (jnp.sum(target * target, -1) > 0.5)
-    confidence = jnp.minimum(jnp.sqrt(jnp.maximum(jnp.sum(normals * normals, -1), 1e-12)), 1)
-    return 1 - jnp.abs(jnp.sum(unit * target, axis=-1)), jnp.where(usable, confidence, 0)
+    usable = valid & (dot(unit, unit) > 0.5) & (dot(target, target) > 0.5)
+    confidence = jnp.minimum(jnp.sqrt(jnp.maximum(dot(normals, normals), 1e-12)), 1)
+    return 1 - jnp.abs(dot(unit, target)), jnp.where(usable, confidence, 0)
 
 
 def face_camera(directions: Array, towards_camera: Array) -> Array:
     """Flip directions whose dot product with `towards_camera` is negative; the sign carries no gradient."""
-    side = jnp.sum(jax.lax.stop_gradient(directions * towards_camera), axis=-1, keepdims=True)
-    return jnp.where(side < 0, -directions, directions)
+    side = dot(*jax.lax.stop_gradient((directions, towards_camera)))
+    return jnp.where(side[..., None] < 0, -directions, directions)
 
 
 def reads_depth(point: Array, covered: Array, camera: Camera) -> Array:

@@ -187,11 +187,14 @@ def tile_grid(camera: Camera, backend: rasterizer.Backend = "auto") -> rasterize
     return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size(backend))
 
 
-def features(splats: Splats, values: Array, front: rasterizer.Front | None = None) -> tuple[Array, Array]:
-    """`[H, W, D]` per-Gaussian `values` `[N, D]` composited on zero, and `[H, W]` alphas."""
+def features(
+    splats: Splats, values: Array, front: rasterizer.Front | None = None, probes: Array | None = None
+) -> tuple[Array, Array]:
+    """`[H, W, D + K]` per-Gaussian `values` `[N, D]` composited on zero, then zeros of `[N, K]` probes; and alphas."""
     values = jnp.where(splats.projection.visible[0, :, None], values, 0)
     to_blend = splats.projection, splats.opacities, values[None], splats.pairs, splats.grid
-    image, left, _ = rasterizer.blend(*to_blend, backend=splats.backend, front=front)
+    zeros = None if probes is None else probes[None]
+    image, left, _ = rasterizer.blend(*to_blend, backend=splats.backend, front=front, probes=zeros)
     return image[0], 1 - left[0, ..., 0]
 
 

@@ -32,6 +32,7 @@ class View(NamedTuple):
     depth: Float[Array, "H W"] | None  # camera z, of all splats or those in front; 0 where alpha < `MIN_COVERAGE`
     splats: Splats
     extra: Float[Array, "H W D"] | None = None  # what `extra` composites to, on zero
+    probes: Float[Array, "H W K"] | None = None  # zeros, whose gradient goes to the argument `probes`
     axes: Float[Array, "H W 3"] | None = None  # what the splats' smallest axes composite to (`facing_axes`), on zero
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
 
@@ -47,6 +48,7 @@ def render(
     depth_mode: DepthReading = "plane",
     means2d_probe: Float[Array, "N 2"] | None = None,
     extra: Float[Array, "N D"] | None = None,
+    probes: Float[Array, "N K"] | None = None,
     with_axes: bool = False,
     backend: rasterizer.Backend = "auto",
 ) -> View:
@@ -67,6 +69,8 @@ def render(
             `IN_FRONT`; "discs": the same of discs on a mesh. Static.
         means2d_probe: See `splat`.
         extra: Further channels, composited on zero.
+        probes: Channels of zeros, for their gradient: the sum over pixels of blending weights times the cotangent of
+            `View.probes`.
         with_axes: Whether the splats' smallest axes are composited too, for a scene that has `quats` and `scales`.
             Static; not in the program otherwise.
         backend: As in `rasterizer.rasterization`; "reference" has forward mode and derivatives of any order. Static.
@@ -83,7 +87,7 @@ def render(
     axes = facing_axes(scene, camera, splats.projection) if with_axes else None
     splat_colors = colors(scene, camera, active_degree, backend)
     under = jnp.zeros(3, splat_colors.dtype) if background is None else background
-    return view_splats(splats, splat_colors, under, reading=reading, extra=extra, axes=axes)
+    return view_splats(splats, splat_colors, under, reading=reading, extra=extra, probes=probes, axes=axes)
 
 
 def view_splats(
@@ -93,24 +97,26 @@ def view_splats(
     *,
     reading: DepthReading | None = None,
     extra: Array | None = None,
+    probes: Array | None = None,
     axes: Array | None = None,
 ) -> View:
     """What splats of `[N, 3]` colours show, and their depth if it is read: all in one pass.
 
     `axes` are those of `facing_axes`; the rest is as in `view`.
     """
-    # Depth comes last: that is where the pass looks for what lies in front.
+    # Depth comes last of the channels: that is where the pass looks for what lies in front. Probes are behind all.
     planes = None if reading is None else depth_channels(splats, reading)
     channels = {"colors": colors, "extra": extra, "axes": axes, "depth": planes}
     channels = {name: jnp.asarray(values, colors.dtype) for name, values in channels.items() if values is not None}
-    image, alphas = features(splats, jnp.concatenate(list(channels.values()), -1), IN_FRONT.get(reading))
-    ends = np.cumsum([values.shape[1] for values in channels.values()])
-    composited = dict(zip(channels, jnp.split(image, ends[:-1].tolist(), axis=-1), strict=True))
+    image, alphas = features(splats, jnp.concatenate(list(channels.values()), -1), IN_FRONT.get(reading), probes)
+    ends = np.cumsum([values.shape[1] for values in channels.values()]).tolist()
+    composited = dict(zip([*channels, "probes"], jnp.split(image, ends, axis=-1), strict=True))
     background = jnp.asarray(background, image.dtype)
     under = background if background.ndim == 3 else background[None, None]
     over = composited["colors"] + (1 - alphas)[..., None] * under
     depth = None if reading is None else mean_depth(composited["depth"], alphas, reading)
-    return View(over, alphas, depth, splats, composited.get("extra"), composited.get("axes"))
+    zeros = None if probes is None else composited["probes"]
+    return View(over, alphas, depth, splats, composited.get("extra"), zeros, composited.get("axes"))
 
 
 def colors(

@@ -65,6 +65,7 @@ def _numbers(static: Static) -> tuple[Array, Array]:
         grid.tile_size,
         front.channels if front else 0,
         static.with_median,
+        static.probes,
     )
     below = np.inf if rules.straight_through else rules.alpha_max
     thresholds = rules.alpha_max, rules.alpha_min, rules.transmittance_min, below, front.stop_after if front else 0
@@ -81,7 +82,7 @@ def _forward(static: Static, rows: Array, lists: tuple[Array, ...]) -> Blended:
 
 
 def _backward(static: Static, rows: Array, lists: tuple[Array, ...], *others: Array) -> Array:
-    result = jax.ShapeDtypeStruct(rows.shape, np.float32)
+    result = jax.ShapeDtypeStruct((rows.shape[0], rows.shape[1] + static.probes), np.float32)
     return _call("backward", result, rows, *lists, *others, *_numbers(static))
 
 
@@ -189,4 +190,5 @@ def _check_side(side: int) -> None:
         raise ValueError(f"tile_size={side} is over {MAX_SIDE}, the most that backend='native' holds")
 
 
-ENGINE = Engine(_forward, _backward, bin_splats, check_side=_check_side, unlisted=Engine(_forward, _backward, _listed))
+_UNLISTED = Engine(_forward, _backward, _listed, takes_probes=True)
+ENGINE = Engine(_forward, _backward, bin_splats, check_side=_check_side, takes_probes=True, unlisted=_UNLISTED)

@@ -66,8 +66,8 @@ _COUNT, _GIVEN, _TILES, _BANDS = range(14, 18)
 _JOB_WORDS = _BANDS + 2 * BANDS
 _BLEND, _UNBLEND, _ADD = range(3)  # steps
 # Of `sizes`: tiles along a row, tiles of a camera, side of a tile in pixels, channels that end in front, whether the
-# median is computed.
-_ACROSS, _OF_CAMERA, _SIDE, _IN_FRONT, _WITH_MEDIAN = 0, 1, 2, 3, 4
+# median is computed, probes.
+_ACROSS, _OF_CAMERA, _SIDE, _IN_FRONT, _WITH_MEDIAN, _PROBES = range(6)
 
 
 @inlined
@@ -164,6 +164,12 @@ def shape_of(job):
 
 
 @inlined
+def probes_of(job):
+    """Channels of zeros that have a gradient; rows and images have no number of them."""
+    return np.int64(int32s_of(job, _SIZES)[_PROBES])
+
+
+@inlined
 def blend_band(job, band):
     """Blends the tiles of a band."""
     rows, splats, offsets = floats_of(job, _ROWS), int32s_of(job, _SPLATS), int32s_of(job, _OFFSETS)
@@ -202,7 +208,7 @@ def unblend_band(job, band):
     d_features, d_light = floats_of(job, _FEATURES), floats_of(job, _D_LIGHT)
     light, last = floats_of(job, _LIGHT), int32s_of(job, _LAST)
     count, on, in_front, width, side = shape_of(job)
-    tiles, pixels = word(job, _TILES), side * side
+    tiles, pixels, probes = word(job, _TILES), side * side, probes_of(job)
 
     from_tile, to_tile = first_tile(offsets, tiles, band), first_tile(offsets, tiles, band + 1)
     start, pairs = np.int64(offsets[from_tile]), np.int64(offsets[to_tile]) - offsets[from_tile]
@@ -211,17 +217,18 @@ def unblend_band(job, band):
     if at_places != 0 and at_ids != 0 and at_near != 0:
         places, ids, near = as_int32s(at_places), as_int32s(at_ids), as_floats(at_near)
         copies = gather(rows, count, on, in_front, int32s_at(splats, start), pairs, rules[1], places, ids, near)
-        at_sums = allocate(4 * copies * width)
+        at_sums = allocate(4 * copies * (width + probes))
         if at_sums != 0:
             sums = as_floats(at_sums)
-            for place in range(copies * width):
+            for place in range(copies * (width + probes)):
                 sums[place] = ZERO
             for tile in range(from_tile, to_tile):
                 x, y = tile_center(tile, sizes)
                 unblend_tile(
-                    near, int32s_at(ids, offsets[tile] - start), x, y, side, on, in_front, thresholds(rules),
+                    near, int32s_at(ids, offsets[tile] - start), x, y, side, on, in_front, probes, thresholds(rules),
                     floats_at(light, tile * pixels), int32s_at(last, tile * pixels),
-                    floats_at(d_features, tile * (on + in_front) * pixels), floats_at(d_light, tile * pixels), sums,
+                    floats_at(d_features, tile * (on + in_front + probes) * pixels),
+                    floats_at(d_light, tile * pixels), sums,
                 )  # fmt: skip
     if at_sums == 0:
         set_word(job, _LACKED, 1)
@@ -236,22 +243,22 @@ def add_chunk(job, chunk):
     """Adds what the bands summed for some of the rows, and applies the chain rule of `compositing.chain_to_rows`."""
     rows, d_rows, row_size = floats_of(job, _ROWS), floats_of(job, _D_ROWS), word(job, _GIVEN)
     count, on, in_front, width, _ = shape_of(job)
-    through = at_least_three(on)
+    through, probes = at_least_three(on), probes_of(job)
     for splat in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
-        row, total = floats_at(rows, splat * row_size), floats_at(d_rows, splat * row_size)
-        for c in range(row_size):
+        row, total = floats_at(rows, splat * row_size), floats_at(d_rows, splat * (row_size + probes))
+        for c in range(row_size + probes):
             total[c] = ZERO
         for band in range(BANDS):
             places, sums_of_band = as_int32s(word(job, _BANDS + 2 * band)), as_floats(word(job, _BANDS + 2 * band + 1))
             place, later = np.int64(places[splat]), np.int64(places[min(splat + AHEAD, count - 1)])
-            prefetch(floats_at(sums_of_band, max(later, 0) * width))
+            prefetch(floats_at(sums_of_band, max(later, 0) * (width + probes)))
             if place >= 0:
-                sums = floats_at(sums_of_band, place * width)
+                sums = floats_at(sums_of_band, place * (width + probes))
                 for c in range(GEOMETRY):
                     total[c] += sums[c]
                 for d in range(on):
                     total[GEOMETRY + d] += sums[CHANNELS + d]
-                for d in range(in_front):
+                for d in range(in_front + probes):
                     total[GEOMETRY + on + d] += sums[CHANNELS + through + d]
         xx, xy, yy, opacity = row[2], row[3], row[4], row[5]
         m1, mx, my, mxx, mxy, myy = total[0], total[1], total[2], total[3], total[4], total[5]

@@ -211,22 +211,28 @@ def blend_tile(
 
 
 @inlined
-def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, sums, alone):
-    """Walks back over a list; `alone`, a literal: only three channels are there."""
+def unblend_list(
+    blocks, rows, splats, count, center_x, center_y, side, through, until, probes, rules, sums, alone, two
+):
+    """Walks back over a list.
+
+    Literals: `alone`, only three channels are there; `two`, and as many probes, which stay in registers.
+    """
     of_strip, channels = blocks_of_strip(side), through + until
     width, parts, zeros = CHANNELS + channels, floats_on_stack(PART_LANES), broadcast(ZERO)
     for k in range(count - 1, -1, -1):
-        row, total = floats_at(rows, splats[k] * width), floats_at(sums, splats[k] * width)
+        row, total = floats_at(rows, splats[k] * width), floats_at(sums, splats[k] * (width + probes))
         x, y, xx, xy, yy, opacity = row[0] - center_x, row[1] - center_y, row[2], row[3], row[4], row[5]
         top, bottom = rows_reached(y + HALF * np.float32(side), row[REACH], side)
         r, g, b, place = row[CHANNELS], row[CHANNELS + 1], row[CHANNELS + 2], np.float32(k)
         if not alone:
-            for d in range(THREE, channels):
+            for d in range(THREE, channels + probes):
                 store(floats_at(parts, LANES * d), zeros)
         for strip in range(strips_of(side)):
             first = floats_at(blocks, strip * of_strip * BLOCK)
             dx = x - load(floats_at(first, PIXEL_X))
             m, my, myy, sum_r, sum_g, sum_b = zeros, zeros, zeros, zeros, zeros, zeros
+            sum_p, sum_q = zeros, zeros
             for n in range(top // ROWS, (bottom + ROWS - 1) // ROWS):
                 block = floats_at(first, n * BLOCK)
                 dy = y - load(floats_at(block, PIXEL_Y))
@@ -250,6 +256,12 @@ def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through,
                         add_to(floats_at(parts, LANES * d), weight * load(floats_at(block, CHANNEL + LANES * d)))
                     for d in range(through, channels):
                         add_to(floats_at(parts, LANES * d), in_front * load(floats_at(block, CHANNEL + LANES * d)))
+                    if not two:
+                        for d in range(channels, channels + probes):
+                            add_to(floats_at(parts, LANES * d), weight * load(floats_at(block, CHANNEL + LANES * d)))
+                if two:
+                    sum_p = sum_p + weight * load(floats_at(block, CHANNEL + LANES * channels))
+                    sum_q = sum_q + weight * load(floats_at(block, CHANNEL + LANES * (channels + 1)))
                 store(floats_at(block, LIGHT), t)
                 store(floats_at(block, BEHIND), behind)
                 along_y = d_sigma * dy
@@ -259,13 +271,18 @@ def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through,
             add_eight_sums(total, (m, mx, my, mx * dx, my * dx, myy, zeros, sum_r))
             total[CHANNELS + 1] += sum_of_lanes(sum_g)
             total[CHANNELS + 2] += sum_of_lanes(sum_b)
+            if two:
+                total[CHANNELS + channels] += sum_of_lanes(sum_p)
+                total[CHANNELS + channels + 1] += sum_of_lanes(sum_q)
         if not alone:
-            for d in range(THREE, channels):
+            for d in range(THREE, channels if two else channels + probes):
                 total[CHANNELS + d] += sum_of_lanes(load(floats_at(parts, LANES * d)))
 
 
 @inlined
-def unblend_tile(rows, splats, center_x, center_y, side, on, in_front, rules, light, last, d_features, d_light, sums):
+def unblend_tile(
+    rows, splats, center_x, center_y, side, on, in_front, probes, rules, light, last, d_features, d_light, sums
+):
     """Walks back over a tile's list, from the last splat that shows.
 
     Args:
@@ -276,16 +293,17 @@ def unblend_tile(rows, splats, center_x, center_y, side, on, in_front, rules, li
         side: Of the tile.
         on: Channels that are blended to the end.
         in_front: Channels that end in front.
+        probes: Channels of zeros behind these, which `rows` do not have.
         rules: `Thresholds`.
         light: `[P]`, as `blend_tile` wrote it.
         last: `[P]`, too.
-        d_features: `[D, P]` dL/dfeatures.
+        d_features: `[D + probes, P]` dL/dfeatures.
         d_light: `[P]` dL/dlight.
-        sums: Like `rows`, added to: moments of dL/dsigma about the splats' means, and dL/dchannels.
+        sums: Like `rows` with probes, added to: moments of dL/dsigma about the splats' means, and dL/dchannels.
     """
     through = at_least_three(on)
     blocks, pixels, count = floats_on_stack(BLOCKS), side * side, 0
-    begin_blocks(blocks, side, through + in_front)
+    begin_blocks(blocks, side, through + in_front + probes)
     for y in range(side):
         for x in range(side):
             p, block = y * side + x, floats_at(blocks, place_of(x, y, side))
@@ -293,9 +311,15 @@ def unblend_tile(rows, splats, center_x, center_y, side, on, in_front, rules, li
             count = max(count, last[p] + 1)
             for d in range(on):
                 block[CHANNEL + LANES * d] = d_features[d * pixels + p]
-            for d in range(in_front):
+            for d in range(in_front + probes):
                 block[CHANNEL + LANES * (through + d)] = d_features[(on + d) * pixels + p]
-    if through == THREE and in_front == 0:
-        unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, in_front, rules, sums, True)
+    tile = blocks, rows, splats, count, center_x, center_y, side, through, in_front, probes, rules, sums
+    is_alone = through == THREE and in_front == 0
+    if is_alone and probes == 0:
+        unblend_list(*tile, True, False)
+    elif is_alone and probes == 2:
+        unblend_list(*tile, True, True)
+    elif probes == 2:
+        unblend_list(*tile, False, True)
     else:
-        unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, in_front, rules, sums, False)
+        unblend_list(*tile, False, False)

@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation_matrices, scales, take
+from gsjax.numerics import mean_channel
 from gsjax.rendering import View
 from gsjax.scene.batches import Batch
 from gsjax.settings import Density
@@ -41,10 +42,10 @@ def empty_statistics(capacity: int) -> ErrorStatistics:
 
 def probe_loss(view: View, batch: Batch) -> Array:
     """`[]` zero, whose gradient to two channels of zeros is what each Gaussian has of the error and of the photo."""
-    assert view.extra is not None, "the probe is rendered as two more channels"
-    error = jnp.mean(jnp.abs(view.colors - batch.image), -1)
+    assert view.probes is not None, "the probe is rendered as two channels of zeros"
+    error = mean_channel(jnp.abs(view.colors - batch.image))
     channels = jnp.stack([error, jnp.ones_like(error)], -1) * batch.valid[..., None].astype(jnp.float32)
-    return jnp.sum(jax.lax.stop_gradient(channels) * view.extra)
+    return jnp.sum(jax.lax.stop_gradient(channels) * view.probes)
 
 
 def accumulate(

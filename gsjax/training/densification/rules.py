@@ -37,7 +37,7 @@ DENSIFICATION_RULES: dict[str, DensificationRule] = {
         gradient_driven.densify,
     ),
     "error": DensificationRule(
-        "extra",
+        "probes",
         error_driven.probe_loss,
         error_driven.empty_statistics,
         error_driven.accumulate,

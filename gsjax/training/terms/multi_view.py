@@ -14,7 +14,7 @@ from jax import Array
 
 from gsjax import rendering
 from gsjax.gaussians import Gaussians
-from gsjax.numerics import masked_mean, safe_divide, times
+from gsjax.numerics import masked_mean, mean_channel, safe_divide, times
 from gsjax.rendering import DepthReading, Neighbor, View, depth
 from gsjax.rendering.sampling import reads_within, sample_bilinear
 from gsjax.scene import cameras
@@ -58,7 +58,7 @@ def photometric(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     assert view.neighbor is not None and view.neighbor.image is not None and view.neighbor.valid is not None
     seen_at, off, usable = _journeys(view, batch)
     usable &= jax.vmap(jax.vmap(partial(reads_within, view.neighbor.valid)))(seen_at)
-    grey, others = (jnp.mean(image, -1) for image in (batch.image, view.neighbor.image))
+    grey, others = (mean_channel(image) for image in (batch.image, view.neighbor.image))
     unlike = 1 - correlation(grey, jax.vmap(jax.vmap(partial(sample_bilinear, others)))(seen_at), usable)
     return masked_mean(jax.lax.stop_gradient(jnp.exp(-off)) * unlike, usable & (unlike < UNLIKE))
 

@@ -147,6 +147,21 @@ def test_axes_and_further_channels_are_composited_beside_colours_and_depth():
     assert_close((view.colors, view.alphas, view.depth), (plain.colors, plain.alphas, plain.depth))
 
 
+def test_the_gradient_of_a_probe_is_what_a_gaussian_adds_to_the_pixels():
+    in_pixels = jnp.zeros((CAMERA.height, CAMERA.width, 2), jnp.float32).at[5:20, 3:30].set(1)
+
+    @jax.jit
+    def probed(zeros):
+        view = render_view(SCENE, depth_mode="front", probes=zeros)
+        return jnp.sum(view.probes * in_pixels), view
+
+    gradient, view = jax.grad(probed, has_aux=True)(jnp.zeros((48, 2), jnp.float32))
+    weights = render_view(SCENE, extra=jnp.eye(48, dtype=jnp.float32)).extra
+    added = jnp.sum(weights[5:20, 3:30], (0, 1))
+    assert float(added.max()) > 1 and not np.any(view.probes)
+    assert_close(gradient, jnp.stack([added, added], -1), kind="gradient")
+
+
 def test_the_capacity_that_a_view_needs_is_counted_before_it_is_rendered():
     needed = int(jax.jit(rendering.needed_capacity)(SCENE, CAMERA))
     pairs = render_view(SCENE).splats.pairs
