@@ -22,9 +22,9 @@ from gsjax.metrics.truth_maps import LENGTHS, score_mesh_views, score_surface
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.planning.effects import appearances_of_tracks
 from gsjax.runs.photo_effects import PhotoEffects
-from gsjax.runs.result import open_result, scene_of_run
+from gsjax.runs.result import Result, open_result, scene_of_run
 from gsjax.runs.run import Run
-from gsjax.scene import Frame, Truth
+from gsjax.scene import Frame, Scene, Truth
 from gsjax.scene.georeference import Place
 from gsjax.scene.meshes import Mesh
 
@@ -70,19 +70,19 @@ def evaluate(
     result, folder = open_result(run), Run.open(run)
     background, effects = folder.settings["model"]["background"], folder.photo_effects
     scene = scene_of_run(run, scene=scene_folder)
-    similarity = scene.similarity
     zoomed = {  # Refused before hours of scoring.
         zoom: scene_of_run(run, zoom=zoom, scene=scene_folder).held_out_frames for zoom in zooms
     }
-    local_mesh = None if mesh is None else similarity.mesh_to_local(read_mesh(mesh))
+    local_mesh = None if mesh is None else scene.similarity.mesh_to_local(read_mesh(mesh))
     if three_ways and not effects.appearances:
         effects = effects._replace(appearances=appearances_of_tracks(scene))
+    near = effects.with_near_appearances(scene.frames)
     figures = score_images(
         result.gaussians,
         scene.held_out_frames,
         background,
         measures=measures,
-        photo_effects=effects.with_near_appearances(scene.frames),
+        photo_effects=near,
         align=aligned_camera if aligned or effects.moves else None,
         depth_mode=result.depth_mode,  # as the surface is read: one program draws both
     )
@@ -94,22 +94,19 @@ def evaluate(
     if local_mesh is not None:
         textured = read_textured(mesh)
         shading = vertex_colors if textured is None else texture_colors(textured)
-        figures |= score_appearance(
-            local_mesh,
-            shading,
-            result.gaussians,
-            scene.held_out_frames,
-            background,
-            effects.with_near_appearances(scene.frames),
-        )
+        figures |= score_appearance(local_mesh, shading, result.gaussians, scene.held_out_frames, background, near)
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
         "train_seconds": folder.manifest.get("train_seconds"),
         "steps": folder.manifest.get("steps"),
     }
-    truth = scene.truth
-    if truth is None:
-        return figures
+    return figures if scene.truth is None else figures | _surface_scores(run, result, scene, local_mesh)
+
+
+def _surface_scores(run: Path, result: Result, scene: Scene, local_mesh: Mesh | None) -> dict[str, Any]:
+    """Of the rendered depth and, where the true surface is known, of the mesh, or else of the run's own."""
+    truth, similarity = scene.truth, scene.similarity
+    assert truth is not None, "only what has a truth is scored by it"
     surface = score_surface(result.gaussians, scene.held_out_frames, truth, result.depth_mode)
     if truth.points is not None and truth.point_normals is not None:
         true = None if truth.mesh is None else similarity.mesh_to_local(_in_world(read_mesh(truth.mesh), scene.place))
@@ -123,7 +120,7 @@ def evaluate(
         surface["distances"] = "point to point" if true is None else "point to surface"
         if true is not None:
             surface["floor"] = score(true)
-    return figures | similarity.figures_to_world(surface, LENGTHS)
+    return similarity.figures_to_world(surface, LENGTHS)
 
 
 def _own_mesh(run: Path) -> Mesh:

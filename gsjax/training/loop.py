@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -152,7 +152,7 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
             state = _with_statistics(state, phase.rule, is_new)
         views = _views(work, phase, state)
         capacity = capacity or _room_for(work, phase, views.image, state, before)
-        state, before = _run_phase(work, phase, views, state, done, capacity)
+        state, before = PhaseRun(work, phase, views).run(state, done, capacity)
         done, capacity = phase.end, None
     return state
 
@@ -205,17 +205,43 @@ def _room_for(work: Work, phase: PlannedPhase, data: Batches, state: TrainState,
     return kept_or(data_parallel.of_first_process(chosen_capacity(gaussians, data, headroom=room)), room, before)
 
 
-def _run_phase(
-    work: Work, phase: PlannedPhase, views: Views, state: TrainState, done: int, capacity: int
-) -> tuple[TrainState, int]:
-    plan = work.plan
-    key = jax.random.key(plan.seed)
-    room = headroom(grows=phase.rule is not None)
+@dataclass(frozen=True)
+class PhaseRun:
+    """One phase of a run: its compiled step, and what the loop does around every step."""
 
-    def step_of(terms: tuple[Weighed, ...], capacity: int) -> TrainStep:
+    work: Work
+    phase: PlannedPhase
+    views: Views
+
+    def run(self, state: TrainState, done: int, capacity: int) -> tuple[TrainState, int]:
+        """The state after all steps of the phase, and the pair buffer that they needed; `done` steps are behind it."""
+        work, phase = self.work, self.phase
+        return advance(
+            self._compiled,
+            self._after,
+            state,
+            self.views.image,
+            (done, phase.end),
+            seed=work.plan.seed,
+            capacity=capacity,
+            room=headroom(grows=phase.rule is not None),
+            feed=_feed_of(self.views, _feed(work), phase.surface_every),
+            looks=self._looks if work.looks else None,
+            explain=self._explain,
+        )
+
+    @cached_property
+    def _key(self) -> Array:
+        return jax.random.key(self.work.plan.seed)
+
+    def _comparable(self, terms: Sequence[Weighed]) -> tuple[Weighed, ...]:
+        return comparable_terms(tuple(terms), has_mattes=self.views.image.has_mattes)
+
+    def _step_of(self, terms: Sequence[Weighed], capacity: int) -> TrainStep:
+        work, phase, plan = self.work, self.phase, self.work.plan
         return work.make_step(
             work.optimizer,
-            comparable_terms(terms, has_mattes=views.image.has_mattes),
+            self._comparable(terms),
             capacity=capacity,
             background=BACKGROUNDS[plan.background],
             sh_every=plan.sh_every,
@@ -227,24 +253,28 @@ def _run_phase(
             mesh=work.mesh,
         )
 
-    def compiled(capacity: int) -> TrainStep:
-        every = step_of(phase.terms, capacity)
-        if phase.surface_every == 1:
+    def _compiled(self, capacity: int) -> TrainStep:
+        every = self._step_of(self.phase.terms, capacity)
+        if self.phase.surface_every == 1:
             return every
-        return _every(phase.surface_every, every, step_of(phase.image_terms, capacity))
+        return _every(self.phase.surface_every, every, self._step_of(self.phase.image_terms, capacity))
 
-    def explain(step: int, state: TrainState, target: Batch, capacity: int) -> str:
+    def _explain(self, step: int, state: TrainState, target: Batch, capacity: int) -> str:
+        """Which photos and terms were not finite."""
+        phase, plan, data = self.phase, self.work.plan, self.views.image
         terms = phase.terms if _is_due(step, phase.surface_every) else phase.image_terms
-        alone = {each.name: (each,) for each in comparable_terms(terms, has_mattes=views.image.has_mattes)}
-        fault = faulty_terms(alone, lambda name: step_of(alone[name], capacity), state, target, key)
+        alone = {each.name: (each,) for each in self._comparable(terms)}
+        fault = faulty_terms(alone, lambda name: self._step_of(alone[name], capacity), state, target, self._key)
         places = range(step * plan.views_per_step, (step + 1) * plan.views_per_step)
-        photos = {photo_of(views.image, view_order(plan.seed, place, views.image.num_views)) for place in places}
+        photos = {photo_of(data, view_order(plan.seed, place, data.num_views)) for place in places}
         return f"{', '.join(sorted(photos))}: {fault}"
 
-    def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
+    def _after(self, step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
+        """Densify, cull and shorten when it is time, then report."""
+        work, phase, plan = self.work, self.phase, self.work.plan
         is_last = step == phase.end
         if phase.rule:
-            state = _densify_when_due(work, phase.rule, step, state, key)
+            state = _densify_when_due(work, phase.rule, step, state, self._key)
         if is_last and phase.cull_below > 0:
             state = cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
         if _ends_densification(plan, phase, step) or (is_last and phase.cull_below > 0):
@@ -255,27 +285,14 @@ def _run_phase(
         work.observe(Progress(step, phase, state, metrics, capacity, is_last))
         return state
 
-    def looks(step: int) -> bool:
+    def _looks(self, step: int) -> bool:
+        plan, phase = self.work.plan, self.phase
         grows = phase.rule is not None and (
             gradient_driven.densifies(plan.density, step)
             or gradient_driven.resets_opacities(plan.density, step, plan.background)
             or _ends_densification(plan, phase, step)
         )
-        return grows or (work.looks is not None and work.looks(step))
-
-    return advance(
-        compiled,
-        after,
-        state,
-        views.image,
-        (done, phase.end),
-        seed=plan.seed,
-        capacity=capacity,
-        room=room,
-        feed=_feed_of(views, _feed(work), phase.surface_every),
-        looks=looks if work.looks else None,
-        explain=explain,
-    )
+        return grows or (self.work.looks is not None and self.work.looks(step))
 
 
 def _feed(work: Work) -> Feed:

@@ -154,11 +154,12 @@ def entered(monkeypatch):
     """(phase, height of its photos, steps, capacity) of every phase that is entered; none is run."""
     phases = []
 
-    def run_phase(work, phase, data, state, done, capacity):
-        phases.append((phase.name, len(data.image.views[0].image), (done, phase.end), capacity))
+    def run(self, state, done, capacity):
+        phase, photo = self.phase, self.views.image.views[0].image
+        phases.append((phase.name, len(photo), (done, phase.end), capacity))
         return state, capacity
 
-    monkeypatch.setattr(loop, "_run_phase", run_phase)
+    monkeypatch.setattr(loop.PhaseRun, "run", run)
     monkeypatch.setattr(loop, "_room_for", lambda work, phase, data, state, before: f"{before} or counted")
     return phases
 

@@ -291,11 +291,11 @@ def test_a_phase_asks_in_what_share_of_its_steps_photos_are_compared_once_there_
         calls.append("shares")
         return np.zeros(len(PHOTOS))
 
-    def noted(work, phase, views, state, done, capacity):
-        neighbors[phase.name] = views.surface.neighbors
+    def noted(self, state, done, capacity):
+        neighbors[self.phase.name] = self.views.surface.neighbors
         return state, capacity
 
-    monkeypatch.setattr(loop, "_run_phase", noted)
+    monkeypatch.setattr(loop.PhaseRun, "run", noted)
     weights = Weights(multi_view=0.1, pixel_normal=0.1)
     phases = Phase("plain", 1), Phase("surface", 1, weights, surface_every=2, surface_scale=2)
     optimizer = make_optimizer(Rates(), 1.0, 2)
