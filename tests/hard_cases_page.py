@@ -211,6 +211,6 @@ def draw_comparison(families, file):
         panel.set_axisbelow(True)
     panels[0].set_yticks(range(len(families)), [f"{family} ({len(cases)})" for family, cases in families.items()])
     panels[0].invert_yaxis()
-    panels[1].legend(loc="lower right")
+    panels[1].legend(loc="upper right", ncols=2)
     with atomic_path(file) as temporary:
         figure.savefig(temporary, dpi=110, format="png")
