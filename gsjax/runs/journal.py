@@ -3,6 +3,8 @@
 import shutil
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -13,13 +15,14 @@ from tqdm import tqdm
 
 from gsjax import runs
 from gsjax.errors import InputError
+from gsjax.rendering.engine import computes_on_cpu
 from gsjax.runs import checkpoints
 from gsjax.runs.compilations import Compilations
 from gsjax.training.step import Metrics
 
 
 class Journal:
-    """A progress bar and a clock over the steps of one run folder. A context: the bar ends with it."""
+    """A progress bar and a clock over the steps of one run folder. A context: the bar and writes end with it."""
 
     def __init__(self, run: Path, label: str, steps: int, step: int, seconds: float):
         """Begin at `step` of `steps`, after `seconds` spent in earlier sessions of the same run."""
@@ -27,6 +30,8 @@ class Journal:
         self._seconds_before, self._started = seconds, time.perf_counter()
         self.bar = tqdm(total=steps, initial=step, desc=label, unit="step", smoothing=0.05)
         self._compilations = Compilations()
+        self._writer = ThreadPoolExecutor(1)
+        self._write: Future[Path] | None = None  # of the last checkpoint
 
     def __enter__(self) -> Self:
         """The journal itself."""
@@ -34,9 +39,12 @@ class Journal:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close the bar."""
+        """Close the bar when the last checkpoint is written."""
         self._compilations.__exit__(*error)
+        self._writer.shutdown()
         self.bar.close()
+        if error[0] is None:
+            self._finish_write()
 
     @property
     def seconds(self) -> float:
@@ -59,8 +67,22 @@ class Journal:
         self.bar.set_postfix_str(f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB{suffix}", refresh=False)
 
     def save(self, step: int, state: Any, capacity: int) -> None:
-        """A checkpoint; with capacity 0 a resumed run counts the pair buffer anew."""
-        runs.save_checkpoint(self.run, step, _checkpoint(state, capacity, self.seconds))
+        """A checkpoint; with capacity 0 a resumed run counts the pair buffer anew.
+
+        A GPU takes further steps while a thread writes. Then the next checkpoint, or the end, raises what failed.
+        """
+        self._finish_write()
+        on_host = jax.device_get(_checkpoint(state, capacity, self.seconds))
+        write = partial(runs.save_checkpoint, self.run, step, on_host)
+        if computes_on_cpu():
+            write()  # The arrays are the state's own, which the next step overwrites.
+        else:
+            self._write = self._writer.submit(write)
+
+    def _finish_write(self) -> None:
+        if self._write is not None:
+            self._write.result()
+            self._write = None
 
 
 class StartingPoint(NamedTuple):
