@@ -38,14 +38,13 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     assert os.listdir(tmp_path) == ["a"]
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS])
-def test_a_sick_disk_is_one_line_with_the_path_and_the_reason(tmp_path, number):
+def test_a_full_disk_is_one_line_with_the_path_and_the_reason(tmp_path):
     target = tmp_path / "state.npz"
     target.write_text("old")
     with pytest.raises(InputError) as caught, files.atomic_path(target) as temporary:
         temporary.write_text("half")
-        raise OSError(number, os.strerror(number))
-    assert str(caught.value) == f"cannot write {target}: {os.strerror(number)}"
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert str(caught.value) == f"cannot write {target}: No space left on device"
     assert target.read_text() == "old" and os.listdir(tmp_path) == ["state.npz"]
     with pytest.raises(InputError, match=r"cannot write .*npz/x\.json: "), files.atomic_path(target / "x.json"):
         pass
@@ -64,13 +63,10 @@ def test_a_file_comes_to_where_a_link_leads(tmp_path):
     assert os.listdir(tmp_path / "disk") == ["of_today.ply"]
 
 
-@pytest.mark.parametrize("through_link", [False, True])
-def test_nothing_takes_the_place_of_a_pipe_or_is_read_from_it(tmp_path, through_link):
-    pipe = tmp_path / "pipe.json"
-    os.mkfifo(pipe)
-    if through_link:
-        (tmp_path / "link.json").symlink_to(pipe)
-        pipe = tmp_path / "link.json"
+def test_nothing_takes_the_place_of_a_pipe_or_is_read_from_it(tmp_path):
+    os.mkfifo(tmp_path / "pipe.json")
+    pipe = tmp_path / "link.json"
+    pipe.symlink_to(tmp_path / "pipe.json")
     with pytest.raises(InputError, match="is a pipe or a device"), files.atomic_path(pipe):
         pass
     with pytest.raises(InputError, match="a pipe or a device, not a file"):

@@ -40,18 +40,12 @@ def test_what_has_the_shape_is_read(tmp_path):
     ("data", "message"),
     [
         ([], "the whole is a list of 0, expected a table"),
-        ({"name": "x"}, "lacks 'K'"),
         (changed(name=3), "name is 3, expected a text"),
-        (changed(name="\ud800"), "name is '\\ud800', expected a text"),
         (changed(K=[[1, 2], [3]]), "K.1 is a list of 1, expected a list of 2"),
         (changed(K=[[1, 2], [3, float("inf")]]), "K.1.1 is inf, expected a finite number"),
-        (changed(views=[{"width": 1.5, "held_out": True}]), "views.0.width is 1.5, expected a whole number"),
         (changed(views=[{"width": 2**60, "held_out": True}]), "views.0.width is an integer too large, expected"),
-        (changed(views=[{"width": 1, "held_out": 1}]), "views.0.held_out is 1, expected true or false"),
         (changed(views=[{"held_out": True}]), "lacks 'views.0.width'"),
-        (changed(views=[{"width": 1, "held_out": True, "mask": []}]), "mask is a list of 0, expected null or a text"),
         (changed(background="grey"), "background is 'grey', expected one of black, white"),
-        (changed(more=10**400), "is no JSON (an integer of 401 characters)"),
     ],
 )
 def test_a_fault_is_named_at_its_place(tmp_path, data, message):

@@ -148,15 +148,6 @@ def test_axes_of_its_own_in_an_spz_are_refused(tmp_path):
         read_spz(tmp_path / "g.spz")
 
 
-def test_the_bytes_of_spz_are_those_by_hand(tmp_path):
-    """0.2 is 51 of 255; the mean's bits are as many as fit: 21."""
-    header, arrays = by_hand(3, ROTATIONS[3])
-    arrays[0] = b"".join(round(value * 2**21).to_bytes(3, "little", signed=True) for value in (1.5, 0.25, -3.0))
-    (tmp_path / "hand.spz").write_bytes(gzip.compress(header[:13] + bytes([21]) + header[14:] + b"".join(arrays)))
-    write_spz(tmp_path / "g.spz", read_spz(tmp_path / "hand.spz"))
-    assert gzip.decompress((tmp_path / "g.spz").read_bytes()) == gzip.decompress((tmp_path / "hand.spz").read_bytes())
-
-
 @pytest.mark.parametrize("with_colors", [False, True])
 def test_a_compressed_ply_by_hand(tmp_path, with_colors):
     """Two Gaussians at the corners of their chunk, colours between 0 and 1 where the chunk tells no bounds of them."""
@@ -225,9 +216,6 @@ def test_far_gaussians_take_no_precision_from_others(tmp_path, name, count, numb
     assert (np.sum(came_in * directions, axis=1) / lengths > 0.9).all()
 
 
-MILLIONS = 4_000_000_000  # Gaussians that a header asks for
-
-
 @pytest.mark.parametrize("name", READ_WRITE)
 def test_what_no_file_can_hold_is_refused_by_name(tmp_path, name):
     _, write = READ_WRITE[name]
@@ -243,18 +231,6 @@ def test_what_no_file_can_hold_is_refused_by_name(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", READ_WRITE)
-def test_truncated_files_are_one_line(tmp_path, name):
-    read, write = READ_WRITE[name]
-    write(tmp_path / name, some_gaussians(300, 1))
-    whole = (tmp_path / name).read_bytes()
-    for share in (0, 0.001, 0.01, 0.2, 0.9, 0.999):
-        (tmp_path / name).write_bytes(whole[: int(share * len(whole))])
-        with pytest.raises(InputError, match=rf"{name}: (truncated|not an? |PLY header)") as error:
-            read(tmp_path / name)
-        assert "\n" not in str(error.value)
-
-
 def changed(place, value):
     header, arrays = by_hand(3, ROTATIONS[3])
     return gzip.compress(header[:place] + bytes([value]) + header[place + 1 :] + b"".join(arrays))
@@ -264,10 +240,8 @@ def changed(place, value):
     ("data", "message"),
     [
         (b"ply\nformat", "not an SPZ file"),
-        (gzip.compress(b"something else of some length"), "not an SPZ file"),
         (gzip.compress(b"short"), "truncated, it ends within the header"),
         (changed(4, 9), "SPZ of version 9, not one of 2, 3"),
-        (changed(12, 5), "harmonics of degree 5, above 4"),
         (changed(8, 2), "truncated, 2 Gaussians need"),
         (changed(8, 1)[:30] + b"xxxx" + changed(8, 1)[34:], r"truncated or damaged \("),
     ],
@@ -293,24 +267,11 @@ def bomb(version, more=10**8):
     return whole[:32] + struct.pack("<Q", len(packed)) + whole[40:place] + packed + whole[place + first :]
 
 
-def greedy(version):
-    """A file whose header asks for a hundred gigabytes."""
-    header, arrays = by_hand(version, ROTATIONS[3])
-    header = header[:8] + struct.pack("<I", MILLIONS) + header[12:]
-    return gzip.compress(header + b"".join(arrays)) if version == 3 else version_4(header, arrays)
-
-
 @pytest.mark.parametrize(
-    ("make", "version", "message"),
-    [
-        (bomb, 3, "goes on for more than 1048576 bytes"),
-        (bomb, 4, "array 1 of 6 is not"),
-        (greedy, 3, "truncated, 4000000000 Gaussians need"),
-        (greedy, 4, "4000000000 Gaussians takes .* GiB of memory"),
-    ],
+    ("version", "message"), [(3, "goes on for more than 1048576 bytes"), (4, "array 1 of 6 is not")]
 )
-def test_an_spz_of_more_than_memory_holds_is_refused_in_little_memory(tmp_path, make, version, message):
-    (tmp_path / "g.spz").write_bytes(make(version))
+def test_an_spz_of_more_than_memory_holds_is_refused_in_little_memory(tmp_path, version, message):
+    (tmp_path / "g.spz").write_bytes(bomb(version))
     tracemalloc.start()
     try:
         with pytest.raises(InputError, match=f"g.spz: .*{message}"):
@@ -336,7 +297,6 @@ def test_what_is_no_compressed_ply_is_named(tmp_path):
     for old, new, message in (
         (b"element chunk 1", b"element chunk 0", "3 Gaussians do not go with 0 chunks and 3 harmonics"),
         (b"min_scale_x", b"min_scale_w", "not a compressed PLY of Gaussians"),
-        (b"packed_color", b"packed_light", "not a compressed PLY of Gaussians"),
         (b"uint packed_rotation", b"float packed_rotation", "not a compressed PLY of Gaussians"),
         (b"f_rest_8", b"f_more_8", r"has 8 columns f_rest_\*"),
     ):

@@ -254,25 +254,6 @@ def test_mattes_and_masks_are_published(tmp_path):
     assert all(frames[name].pixels().valid is None for name in ("a.png", "a.tif.png", "b.jpg"))
 
 
-def test_a_matte_is_undistorted_with_its_photo(tmp_path):
-    """A disc that is cut out; at its rim, 20 pixels out, r (1 - 0.3 r^2) = 1 / 3, which says how large it becomes."""
-    rows, columns = np.mgrid[:64, :64] + 0.5
-    inside = np.hypot(rows - 32, columns - 32) < 20
-    rgba = np.where(inside[..., None], np.uint8([250, 20, 30, 255]), np.uint8(0))
-    (tmp_path / "photos").mkdir()
-    for name in ("a.png", "b.png"):
-        Image.fromarray(rgba).save(tmp_path / "photos" / name)
-    shots = source_photos.list_source_photos(tmp_path / "photos")
-    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_RADIAL", width=64, height=64, params=[60.0, 32.0, 32.0, -0.3])
-    frame = write_model(shots, tmp_path / "scene", camera)[0]
-    pixels = frame.pixels()
-    radius = min(np.roots([-0.3, 0, 1, -1 / 3]).real, key=lambda root: abs(root - 1 / 3))
-    area = pixels.matte.sum() / 255
-    assert area == pytest.approx(np.pi * (radius * frame.K[0, 0]) ** 2, rel=0.01) and area > 1.05 * inside.sum()
-    opaque = pixels.matte == 255
-    assert opaque.sum() > 0.9 * area and np.abs(pixels.image[opaque].astype(int) - [250, 20, 30]).max() <= 1
-
-
 def test_photos_are_paired_with_those_taken_next_to_them_whatever_their_names():
     """A walk along a parallel, over the line where longitudes jump, its names shuffled; two photos have no GPS."""
     steps = np.random.default_rng(0).permutation(40)  # of the walk, by photo

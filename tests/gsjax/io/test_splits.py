@@ -15,7 +15,6 @@ from gsjax.io.photos import Photo
 from gsjax.io.splits import mark_held_out
 
 LENS = Lens("PINHOLE", 240, 160, (200.0, 200.0, 120.0, 80.0))
-FOX = sorted((Path(__file__).parents[4] / "shared/data/fox/images").glob("*"))
 
 
 def texture(seed, width=240, height=160):
@@ -80,11 +79,6 @@ def test_views_without_texture_are_not_one_shot(tmp_path):
     (tmp_path / "x.png").write_bytes(b"no photo")
     files = [*save(tmp_path, wall | flat), tmp_path / "x.png", tmp_path / "absent.png"]
     assert len(group_duplicates(files)) == 11
-
-
-@pytest.mark.skipif(not FOX, reason="needs ../shared/data/fox")
-def test_neighbouring_photos_of_a_capture_are_different_shots():
-    assert len(group_duplicates(FOX)) == len(FOX)
 
 
 def photos_of(files, held_out=()):

@@ -93,14 +93,6 @@ def test_radial_cameras_by_any_name_and_case_are_one_lens(tmp_path, name):
     assert params == {(50, 51, 20, 15, 0.1, 0.2, 0.3, 0.4, *[0] * 4)}
 
 
-def test_an_even_scale_of_a_camera_changes_nothing(tmp_path):
-    plain = load_scene(write(tmp_path / "plain", fl_x=50.0)).frames
-    for scale in (np.diag([3, 3, 3, 1.0]), 2 * np.eye(4)):
-        scaled = load_scene(write(tmp_path / "s", fl_x=50.0, poses=[pose @ scale for pose in ring()])).frames
-        for ours, theirs in zip(scaled, plain, strict=True):
-            np.testing.assert_allclose(ours.viewmat, theirs.viewmat, atol=1e-6)
-
-
 def names(scene, which):
     return [int(frame.name[:3]) for frame in getattr(scene, which)]
 
@@ -176,17 +168,6 @@ def test_a_linked_folder_of_photos_is_named_as_if_it_were_there(tmp_path, monkey
         frames = load_scene(folder).frames
         assert [frame.name for frame in frames] == [f"{i:03d}.png" for i in range(8)]
         np.testing.assert_array_equal(frames[0].pixels().valid, mask)
-
-
-def test_photos_outside_the_data_set_are_not_their_own_masks(tmp_path):
-    root = write(tmp_path / "scene", fl_x=50.0)
-    (root / "images").rename(tmp_path / "disk")
-    edit(root, lambda m: [f.update(file_path=str(tmp_path / "disk" / f["file_path"][-7:])) for f in m["frames"]])
-    (root / "masks").mkdir()
-    cv2.imwrite(str(root / "masks/002.png"), np.zeros((30, 40), np.uint8))
-    photos = {photo.name[-7:]: photo for photo in load_scene(root).frames}
-    assert photos["001.png"].pixels().valid is None
-    assert (photos["002.png"].pixels().valid == 0).all()
 
 
 @pytest.mark.parametrize(

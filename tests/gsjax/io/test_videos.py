@@ -98,13 +98,6 @@ def test_a_video_of_high_dynamic_range_is_named_with_its_transfer_function(tmp_p
     assert video.transfer_function(plain) is None
 
 
-@pytest.mark.parametrize(("transfer", "name"), [(16, "PQ"), (18, "HLG"), (1, None)])
-def test_matroska_states_its_transfer_function_in_its_head(tmp_path, transfer, name):
-    head = b"\x1a\x45\xdf\xa3" + bytes(60) + b"\x55\xba\x81" + bytes([transfer]) + bytes(60)
-    (tmp_path / "a.mkv").write_bytes(head)
-    assert video.transfer_function(tmp_path / "a.mkv") == name
-
-
 POSES = [
     {"viewmat": np.eye(4).tolist(), "fov": 50.0},
     {"viewmat": [[0, -1, 0, 2], [1, 0, 0, 3], [0, 0, 1, 4.5], [0, 0, 0, 1]], "fov": 60},
