@@ -52,23 +52,15 @@ def test_threads_that_ask_for_memory_together_do_not_get_it_twice(monkeypatch):
         pass
 
 
-@pytest.mark.parametrize(
-    ("folder", "limit", "used", "cached"),
-    [("", "max", "current", "inactive_file"), ("/memory", "limit_in_bytes", "usage_in_bytes", "total_inactive_file")],
-)
-def test_groups_of_either_version_around_the_process_count_and_cached_files_are_free(
-    monkeypatch, folder, limit, used, cached
-):
-    root = f"/sys/fs/cgroup{folder}/memory."
-    above = f"/sys/fs/cgroup{folder}/mine/memory."
+def test_groups_around_the_process_count_and_cached_files_are_free(monkeypatch):
     texts = {
         "/proc/meminfo": MEMINFO,
         "/proc/self/cgroup": "5:devices:/\n4:memory:/mine/job\n0::/mine/job\n",
-        f"{root}{limit}": "2900",
-        f"{root}{used}": "100",
-        f"{above}{limit}": "2000",
-        f"{above}{used}": "1500",
-        f"{above}stat": f"cache 9\n{cached} 700\nactive_file 3\n",
+        "/sys/fs/cgroup/memory.max": "2900",
+        "/sys/fs/cgroup/memory.current": "100",
+        "/sys/fs/cgroup/mine/memory.max": "2000",
+        "/sys/fs/cgroup/mine/memory.current": "1500",
+        "/sys/fs/cgroup/mine/memory.stat": "cache 9\ninactive_file 700\nactive_file 3\n",
     }
     monkeypatch.setattr(machine, "_text", lambda path: texts.get(str(path), ""))
     assert machine.free_memory() == 1200
