@@ -115,11 +115,6 @@ def test_unusable_numbers_are_refused(params, tmp_path):
         check_lens(Lens("SIMPLE_PINHOLE", 10, 10, params), tmp_path / "cameras.bin")
 
 
-def test_a_photo_that_no_map_holds_is_refused():
-    with pytest.raises(InputError, match="40000x20000 pixels from a EQUIRECTANGULAR camera is too long"):
-        pinhole_views(Lens("EQUIRECTANGULAR", 40_000, 20_000, (40_000.0, 20_000.0)))
-
-
 @pytest.mark.parametrize("model", ["OPENCV_FISHEYE", "SIMPLE_FISHEYE"])
 def test_a_wide_fisheye_photo_is_faces_that_lose_nothing_of_it(model):
     """Every pixel of the photo, but for rounding at the seams, is shown by exactly one face, where its ray lies."""

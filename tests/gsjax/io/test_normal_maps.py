@@ -72,17 +72,6 @@ def test_nothing_stays_exactly_nothing(tmp_path, width, level):
     np.testing.assert_allclose(np.linalg.norm(loaded[:, 6:], axis=-1), 1, atol=1e-6)
 
 
-def test_frames_in_folders_have_their_own_maps(tmp_path):
-    for name, normals in (("left/001", smooth_normals()), ("right/001", -smooth_normals()), ("002", smooth_normals())):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        np.save(tmp_path / name, normals)
-    loaded = load_normals(tmp_path, frames("left/001.png", "right/001.png", "left/002.png"))
-    np.testing.assert_allclose(loaded["left/001.png"], -loaded["right/001.png"])
-    (tmp_path / "right/001.npy").rename(tmp_path / "001.npy")
-    loaded = load_normals(tmp_path, frames("left/001.png", "right/001.png"))
-    assert not loaded["right/001.png"].any(), "001.npy could be either's"
-
-
 @pytest.mark.parametrize(
     ("bad", "message"),
     [

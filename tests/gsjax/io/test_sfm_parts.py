@@ -128,20 +128,6 @@ def test_where_one_plane_fills_both_photos_twins_along_the_line_do_no_harm_eithe
     assert sorted(back[:, ::-1].tolist()) == matches.tolist()
 
 
-def test_photos_are_paired_with_the_likest_and_with_the_next_by_name(monkeypatch):
-    monkeypatch.setattr(pairs, "_PARTNERS", 2)
-    monkeypatch.setattr(pairs, "_NEXT_BY_NAME", 1)
-    count = 60
-    order = np.random.default_rng(0).permutation(count)  # where each photo stands on a line
-    distance = np.abs(order[:, None] - order)
-    scores = np.where(distance == 0, 0, 100 - distance)
-    photo_pairs = pairs.choose_pairs(scores)
-    neighbours = {(min(i, j), max(i, j)) for i, j in zip(*np.where(distance == 1), strict=True)}
-    assert neighbours <= photo_pairs
-    assert {(i, i + 1) for i in range(count - 1)} <= photo_pairs
-    assert len(photo_pairs) < 4 * count
-
-
 @pytest.mark.parametrize(
     ("root", "masks"),
     [

@@ -30,18 +30,6 @@ def test_maps_are_read_at_the_nearest_pixel_centre_and_normals_become_unit(tmp_p
     np.testing.assert_allclose(normals[1:], np.broadcast_to([0.6, 0, -0.8], (3, 6, 3)), atol=3e-4)
 
 
-def test_a_true_mesh_is_named_where_points_say_what_of_it_was_seen(tmp_path):
-    (tmp_path / "gt_mesh.ply").write_bytes(b"read by whoever needs it")
-    assert load_truth(tmp_path, (frame(),)) is None
-    up = np.tile([0.0, 0.0, 2.0], (3, 1))
-    np.savez(tmp_path / "gt_points.npz", points=up, normals=up, label=np.zeros(3, int))
-    truth = load_truth(tmp_path, (frame(),))
-    assert truth.mesh == tmp_path / "gt_mesh.ply"
-    np.testing.assert_array_equal(truth.point_normals, up / 2)
-    (tmp_path / "gt_mesh.ply").unlink()
-    assert load_truth(tmp_path, (frame(),)).mesh is None
-
-
 def test_faults_are_named(tmp_path):
     (tmp_path / "depth/a").mkdir(parents=True)
     file = tmp_path / "depth/a/001.npz"
