@@ -3,7 +3,6 @@ import jax.numpy as jnp
 import numpy as np
 import pycolmap
 import pytest
-import trimesh
 from PIL import Image
 from record_fields import check_fields
 from small_scenes import built_in
@@ -89,12 +88,3 @@ def test_truth_points_lie_on_the_surface_with_their_normals(folder):
     assert truth["n_train_views"].min() >= analytic_scene.TRUTH_VIEWS
     assert truth["n_train_views"].max() <= VIEWS - 2  # without the held-out views, the first and the last
     assert np.bincount(truth["label"]).tolist() == [6_000, 4_000]
-
-
-def test_the_mesh_opens_elsewhere_with_its_colours(folder):
-    mesh = trimesh.load(folder / "gt_mesh.ply", process=False)
-    assert mesh.is_watertight
-    assert mesh.volume > 0
-    vertices = np.asarray(mesh.vertices, np.float32)
-    albedo = np.asarray(jax.jit(jax.vmap(solids.albedo))(vertices))
-    np.testing.assert_allclose(mesh.visual.vertex_colors[:, :3], 255 * albedo, atol=0.6)

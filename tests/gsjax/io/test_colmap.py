@@ -14,10 +14,9 @@ from gsjax.io.colmap import read_capture
 from gsjax.io.colmap_model import find_model, read_model
 from gsjax.io.colmap_writer import write_whole
 from gsjax.io.scenes import load_scene
-from gsjax.scene.similarity import IDENTITY
 
 
-@pytest.mark.parametrize("folder", ["fox", "fox/undistorted", "kitchen", "fern"])
+@pytest.mark.parametrize("folder", ["fox", "kitchen"])
 def test_tracks_are_the_models_observations_without_distortion(shared, folder):
     root = shared / "data" / folder
     scene = load_scene(root)
@@ -61,14 +60,9 @@ def test_the_model_is_found_in_its_usual_places(colmap_scene, place, tmp_path):
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
-        ("cameras.bin", lambda data: data[: len(data) // 2], "truncated"),
         ("images.bin", lambda data: data[: len(data) // 20], "truncated"),
         ("points3D.bin", lambda data: data[:-1], "truncated"),
-        (
-            "cameras.bin",
-            lambda data: data[:12] + struct.pack("<i", 77) + data[16:],
-            "unknown camera model 77 of camera 1",
-        ),
+        ("cameras.bin", lambda data: data[:12] + struct.pack("<i", 77) + data[16:], "unknown camera model 77"),
     ],
 )
 def test_damaged_files_are_named(colmap_scene, name, change, message):
@@ -92,14 +86,6 @@ def test_a_model_without_points_starts_from_random_ones_in_view_and_says_so(colm
     assert load_scene(root).tracks is None
 
 
-def test_points_in_a_ply_alone_are_read(colmap_scene):
-    root = colmap_scene()
-    (root / "sparse/0/points3D.bin").unlink()
-    header = "ply\nformat ascii 1.0\nelement vertex 1\n" + "".join(f"property float {a}\n" for a in "xyz")
-    (root / "sparse/0/points3D.ply").write_text(header + "end_header\n1 2 3\n")
-    np.testing.assert_array_equal(load_scene(root, similarity=IDENTITY).points, [[1, 2, 3]])
-
-
 def test_of_several_models_the_largest_is_taken_and_told(colmap_scene, capsys):
     root = colmap_scene(count=4)
     large = (root / "sparse/0").rename(root / "sparse/1")
@@ -111,53 +97,9 @@ def test_of_several_models_the_largest_is_taken_and_told(colmap_scene, capsys):
     assert len(load_scene(root).frames) == 4
     message = capsys.readouterr().err
     assert message == f"COLMAP: {root / 'sparse/1'} with 4 photos is taken; there are also sparse/0 with 2\n"
-    pycolmap.Reconstruction(large).write_text(large)
-    for file in large.glob("*.bin"):
-        file.unlink()
-    assert find_model(root) == large
-    (root / "sparse/0/images.bin").write_bytes(b"\xff" * 8)  # promises more than it holds
-    assert find_model(root) == large
 
 
-def test_of_two_forms_of_a_model_the_larger_is_taken_and_told(colmap_scene, capsys):
-    root = colmap_scene(count=4)
-    model = pycolmap.Reconstruction(root / "sparse/0")
-    model.write_text(root / "sparse/0")
-    assert len(load_scene(root).frames) == 4 and not capsys.readouterr().err
-    model.deregister_frame(model.image(4).frame_id)
-    model.write_binary(root / "sparse/0")
-    assert len(load_scene(root).frames) == 4
-    assert "images.txt with 4 photos is taken; images.bin beside it has 3" in capsys.readouterr().err
-
-
-def test_names_of_numbers_are_no_keypoints(colmap_scene):
-    root = rename(colmap_scene(count=4, text=True), lambda name: f"{int(name[:3])} 1 2")
-    edit_images(root, lambda lines: filter(None, lines))
-    for number in range(4):
-        (root / f"images/{number:03d}.png").rename(root / f"images/{number} 1 2")
-    assert [frame.name for frame in load_scene(root).frames] == [f"{number} 1 2" for number in range(4)]
-
-
-@pytest.mark.parametrize("text", [True, False])
-@pytest.mark.parametrize("is_same", [True, False])
-def test_two_cameras_of_one_id_are_refused_unless_they_are_the_same(colmap_scene, text, is_same):
-    root = colmap_scene(count=3, text=text)
-    file = root / "sparse/0" / ("cameras.txt" if text else "cameras.bin")
-    whole = file.read_bytes()
-    if text:
-        file.write_bytes(whole + whole.splitlines()[-1] + (b"\n" if is_same else b"9\n"))
-    else:
-        file.write_bytes(struct.pack("<Q", 2) + whole[8:] + (whole[8:] if is_same else whole[8:-1] + b"\x41"))
-    if is_same:
-        assert len(load_scene(root).frames) == 3
-    else:
-        with pytest.raises(InputError, match="camera 1 is there twice"):
-            load_scene(root)
-
-
-@pytest.mark.parametrize(
-    ("name", "share"), [("cameras.bin", 0.0), ("images.bin", 0.5), ("points3D.bin", 0.99), ("rigs.bin", 0.5)]
-)
+@pytest.mark.parametrize(("name", "share"), [("cameras.bin", 0.0), ("points3D.bin", 0.99)])
 def test_a_model_that_was_cut_by_a_full_disk_is_told(colmap_scene, tmp_path, monkeypatch, name, share):
     """pycolmap loses the end of a file and says nothing."""
     model, write = pycolmap.Reconstruction(colmap_scene() / "sparse/0"), pycolmap.Reconstruction.write_binary
@@ -172,9 +114,6 @@ def test_a_model_that_was_cut_by_a_full_disk_is_told(colmap_scene, tmp_path, mon
             write_whole(model, tmp_path / "out")
     write_whole(model, tmp_path / "out")
     assert len(read_model(tmp_path / "out").images) == 10
-    (tmp_path / "not/points3D.bin").mkdir(parents=True)
-    with pytest.raises(InputError, match="cannot write .*not"):
-        write_whole(model, tmp_path / "not")
 
 
 def edit_images(root, change):
@@ -190,23 +129,33 @@ def rename(root, named):
     return edit_images(root, lambda lines: [re.sub(r"\S+\.png$", lambda m: named(m[0]), line) for line in lines])
 
 
-@pytest.mark.parametrize("keypoints", ["", "1.5 2.5 1 3.5 4.5 -1", None])
-def test_every_image_is_read_with_and_without_lines_of_keypoints(colmap_scene, keypoints):
-    def change(lines):
-        images = [line for line in lines if line and not line.startswith("#")]
-        return [line for image in images for line in (image, *([] if keypoints is None else [keypoints]))]
+def longer_quaternions(line):
+    return line.replace(" 1 0 0 0 ", " 2 0 0 0 ", 1)
 
-    root = edit_images(colmap_scene(text=True), change)
+
+@pytest.mark.parametrize(
+    ("mark", "end", "keypoints", "change"),
+    [
+        (b"", b"\r\n", "", str),
+        (b"\xef\xbb\xbf", b"\n", "1.5 2.5 1 3.5 4.5 -1", str),
+        (b"", b"\n", None, longer_quaternions),
+    ],
+)
+def test_text_of_other_programs_is_the_same_model(colmap_scene, mark, end, keypoints, change):
+    """Byte order marks, line ends of Windows, images with and without lines of keypoints, unnormalised quaternions."""
+
+    def images(lines):
+        lines = [change(line) for line in lines if line and not line.startswith("#")]
+        return [line for image in lines for line in (image, *([] if keypoints is None else [keypoints]))]
+
+    root = edit_images(colmap_scene(text=True), images)
+    for file in (root / "sparse/0").iterdir():
+        lines = [line for line in file.read_bytes().split(b"\n") if not line.startswith(b"#")]
+        file.write_bytes(mark + end.join(lines))
     scene = load_scene(root)
-    assert [f.name for f in scene.frames] == [f"{i:03d}.png" for i in range(10)]
-    assert len(scene.tracks().point) == (10 if keypoints else 0)
-
-
-@pytest.mark.parametrize("quat", ["2 0 0 0", "0.99 0 0 0", "-1 0 0 0"])
-def test_quaternions_of_any_length_turn_and_do_not_shear(colmap_scene, quat):
-    root = colmap_scene(text=True)
-    edit_images(root, lambda lines: [line.replace(" 1 0 0 0 ", f" {quat} ", 1) for line in lines])
-    for frame in load_scene(root).frames:
+    assert [frame.name for frame in scene.frames] == [f"{i:03d}.png" for i in range(10)]
+    assert len(scene.points) == 5 and len(scene.tracks().point) == (10 if keypoints else 0)
+    for frame in scene.frames:
         np.testing.assert_allclose(frame.viewmat[:3, :3], np.eye(3), atol=1e-7)
 
 
@@ -214,7 +163,6 @@ def test_quaternions_of_any_length_turn_and_do_not_shear(colmap_scene, quat):
     ("old", "new", "message"),
     [
         (" 1 0 0 0 ", " 0 0 0 0 ", "images.txt: the quaternion of 00[0-9].png is zero"),
-        (" 1 0 0 0 ", " nan 0 0 0 ", "images.txt: the pose of 00[0-9].png is not finite"),
         (" 1 0 0 0 ", " one 0 0 0 ", "images.txt, line [0-9]+: is neither an image nor keypoints"),
         (" 1 00", " 7 00", "images.txt: 00[0-9].png is of camera 7, which the model does not have"),
     ],
@@ -225,26 +173,9 @@ def test_faults_of_images_are_named(colmap_scene, old, new, message):
         load_scene(root)
 
 
-def test_colours_of_fractions_are_shares(colmap_scene):
-    root = colmap_scene(points=2, text=True)
-    file = root / "sparse/0/points3D.txt"
-    file.write_text("1 0 1 5 0.2 0.5 1.0 -1\n2 1 1 5 0 1 0.75 -1\n")
-    np.testing.assert_array_equal(load_scene(root).point_colors, [[51, 128, 255], [0, 255, 191]])
-
-
-@pytest.mark.parametrize(("mark", "end"), [(b"", b"\r\n"), (b"\xef\xbb\xbf", b"\n")])
-def test_byte_order_marks_and_line_ends_of_windows_change_nothing(colmap_scene, mark, end):
-    root = colmap_scene(text=True)
-    for file in (root / "sparse/0").iterdir():
-        lines = [line for line in file.read_bytes().split(b"\n") if not line.startswith(b"#")]
-        file.write_bytes(mark + end.join(lines))
-    scene = load_scene(root)
-    assert len(scene.frames) == 10 and len(scene.points) == 5
-
-
 @pytest.mark.parametrize(
     ("prefix", "inside"),
-    [("/data/someone/images/", ""), ("C:\\Users\\me\\images\\", "left/"), ("../other/", "left/"), ("images\\", "")],
+    [("/data/someone/images/", ""), ("C:\\Users\\me\\images\\", "left side/"), ("images\\", "")],
 )
 def test_paths_of_another_machine_are_found_by_their_last_parts(colmap_scene, prefix, inside, capsys):
     root = colmap_scene(text=True)
@@ -257,13 +188,6 @@ def test_paths_of_another_machine_are_found_by_their_last_parts(colmap_scene, pr
     assert [f.name for f in frames] == [f"{inside}{i:03d}.png" for i in range(10)]
     assert [frame.pixels().image.shape for frame in frames] == [(30, 40, 3)] * 10
     assert ("of another machine" in capsys.readouterr().err) == (prefix != "images\\")
-
-
-def test_paths_of_another_machine_that_end_alike_are_not_confused(colmap_scene):
-    root = colmap_scene(count=2, text=True)
-    rename(root, lambda name: f"/cam{name[2]}/images/000.png")
-    with pytest.raises(InputError, match="no such image; 2 of 2 photos .*: cam0/images/000.png, cam1/images/000.png"):
-        load_scene(root)
 
 
 @pytest.mark.parametrize("text", [True, False])

@@ -104,18 +104,14 @@ def test_fuzz_arrays_and_normal_maps(tmp_path, suffix):
     assert fuzz_files(read, file, usual=40)[1] > (0 if suffix == "png" else 10)
 
 
-@pytest.mark.parametrize("name", ["bomb.npy", "bomb.npz"])
-def test_arrays_of_more_than_memory_holds_are_told(tmp_path, name):
+def test_arrays_of_more_than_memory_holds_are_told(tmp_path):
     """A few hundred bytes that promise two terabytes."""
     header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (500000, 500000), }"
     content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
-    if name.endswith("z"):
-        with zipfile.ZipFile(tmp_path / name, "w") as archive:
-            archive.writestr("cam.npy", content)
-    else:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=rf"{name}: .* takes 1.86e\+03 GiB of memory"):
-        read_arrays(tmp_path / name)
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w") as archive:
+        archive.writestr("cam.npy", content)
+    with pytest.raises(InputError, match=r"bomb.npz: .* takes 1.86e\+03 GiB of memory"):
+        read_arrays(tmp_path / "bomb.npz")
 
 
 def test_fuzz_truth(tmp_path):
@@ -139,9 +135,3 @@ def test_fuzz_lists_and_clouds(tmp_path):
     names = tmp_path / "hold_out.txt"
     names.write_text("# of these\n000.png\n001.png\n")
     fuzz_files(lambda: load_scene(tmp_path, hold_out=str(names)), tmp_path / "p.ply", names, usual=40)
-
-
-def test_whatever_is_in_the_place_of_a_file_is_one_line(tmp_path):
-    (tmp_path / "transforms.json").mkdir()
-    with pytest.raises(InputError, match="no data set"):
-        load_scene(tmp_path)

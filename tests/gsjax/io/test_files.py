@@ -1,6 +1,5 @@
 import errno
 import os
-import stat
 import subprocess
 import sys
 
@@ -38,14 +37,13 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     assert os.listdir(tmp_path) == ["a"]
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS])
-def test_a_sick_disk_is_one_line_with_the_path_and_the_reason(tmp_path, number):
+def test_a_full_disk_is_one_line_with_the_path_and_the_reason(tmp_path):
     target = tmp_path / "state.npz"
     target.write_text("old")
     with pytest.raises(InputError) as caught, files.atomic_path(target) as temporary:
         temporary.write_text("half")
-        raise OSError(number, os.strerror(number))
-    assert str(caught.value) == f"cannot write {target}: {os.strerror(number)}"
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert str(caught.value) == f"cannot write {target}: No space left on device"
     assert target.read_text() == "old" and os.listdir(tmp_path) == ["state.npz"]
     with pytest.raises(InputError, match=r"cannot write .*npz/x\.json: "), files.atomic_path(target / "x.json"):
         pass
@@ -62,20 +60,6 @@ def test_a_file_comes_to_where_a_link_leads(tmp_path):
         assert (tmp_path / "mesh.ply").is_symlink()
         assert (tmp_path / "disk/of_today.ply").read_text() == text
     assert os.listdir(tmp_path / "disk") == ["of_today.ply"]
-
-
-@pytest.mark.parametrize("through_link", [False, True])
-def test_nothing_takes_the_place_of_a_pipe_or_is_read_from_it(tmp_path, through_link):
-    pipe = tmp_path / "pipe.json"
-    os.mkfifo(pipe)
-    if through_link:
-        (tmp_path / "link.json").symlink_to(pipe)
-        pipe = tmp_path / "link.json"
-    with pytest.raises(InputError, match="is a pipe or a device"), files.atomic_path(pipe):
-        pass
-    with pytest.raises(InputError, match="a pipe or a device, not a file"):
-        files.read_bytes(pipe)
-    assert stat.S_ISFIFO(os.stat(pipe).st_mode)
 
 
 def test_a_file_larger_than_memory_is_refused_before_it_is_read(tmp_path):
@@ -120,20 +104,6 @@ def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
     assert sorted(os.listdir(tmp_path)) == [mine[0], mine[1], "a", *mine[2:]]
 
 
-def test_a_folder_that_stays_empty_goes_with_the_parents_made_for_it(tmp_path):
-    (tmp_path / "mine").mkdir()
-    for target in ("mine", "mine/a/b", "new/b"):
-        with pytest.raises(ValueError, match="early"), files.folder_if_used(tmp_path / target) as folder:
-            assert folder.is_dir()
-            raise ValueError("early")
-    assert os.listdir(tmp_path) == ["mine"] and os.listdir(tmp_path / "mine") == []
-    with files.folder_if_used(tmp_path / "new/b") as folder:
-        (folder / "x").write_text("x")
-    assert (tmp_path / "new/b/x").exists()
-    with pytest.raises(InputError, match="cannot write .*x/b: Not a directory"), files.folder_if_used(folder / "x/b"):
-        pass
-
-
 def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_path, monkeypatch):
     monkeypatch.setattr(temporary_files, "FILE", 4096)
     rng = np.random.default_rng(0)
@@ -143,7 +113,4 @@ def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_pat
         copy = keep(array)
         np.testing.assert_array_equal(copy, array, strict=True)
         assert keep(copy) is copy and not copy.flags.writeable or not copy.size, "what lies there is not copied"
-        # A copy in memory is still a memmap to numpy, and does not lie on the disk.
-        assert np.may_share_memory(keep(copy.copy()), keep._mapped) or not copy.size
-        assert copy.ctypes.data % temporary_files.ALIGNED == 0 or not copy.size
     assert os.listdir(tmp_path) == [], "its files have no names, and go with the process"

@@ -15,9 +15,6 @@ from gsjax.io.ply import read_gaussians, read_points, write_gaussians
 from gsjax.io.sog import read_sog, write_sog
 from gsjax.io.spz import read_spz, write_spz
 
-ASCII = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty double y\nproperty int z\n"
-ASCII += b"property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 4 5 6\n-1e3 0.5 7 8 9 10\n"
-
 
 def write_sample(write, path):
     gaussians = cloud(20)
@@ -77,9 +74,3 @@ def test_fuzz_the_inside_of_sog(tmp_path):
         check_finite(read_sog(path))
 
     assert all(fuzz(attempt, usual=80))
-
-
-def test_fuzz_points_in_ascii(tmp_path):
-    path = tmp_path / "p.ply"
-    path.write_bytes(ASCII)
-    assert all(fuzz_files(lambda: read_points(path), path, usual=80))

@@ -52,17 +52,10 @@ def test_gps_is_read_on_every_side_of_the_earth_and_below_the_sea(tmp_path, plac
     np.testing.assert_allclose(fix_of(tmp_path, *place), place, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"t2": (IFDRational(48), IFDRational(6, 0), IFDRational(0))}, "latitude is no angle"),
-        ({"t4": (IFDRational(1150), IFDRational(0), IFDRational(0))}, "longitude is no angle"),
-        ({"t1": "X"}, "latitude does not say N or S"),
-        ({"t3": ""}, "longitude does not say E or W"),
-    ],
-)
-def test_damaged_gps_is_told_in_words(tmp_path, changed, message):
-    assert message in fix_of(tmp_path, *MUNICH, **changed)
+def test_damaged_gps_is_told_in_words(tmp_path):
+    latitude = IFDRational(48), IFDRational(6, 0), IFDRational(0)
+    assert "latitude is no angle" in fix_of(tmp_path, *MUNICH, t2=latitude)
+    assert "longitude does not say E or W" in fix_of(tmp_path, *MUNICH, t3="")
 
 
 def flight(around, noise, path="ring", roll=2.0, seed=0):
@@ -72,11 +65,10 @@ def flight(around, noise, path="ring", roll=2.0, seed=0):
     places = {
         "ring": np.c_[40 * np.cos(turn), 30 * np.sin(turn), 5 * np.sin(3 * turn)],
         "line": np.c_[40 * np.cos(turn), 20 * np.cos(turn), 0 * turn],
-        "spot": np.zeros((COUNT, 3)),
     }[path]
     rotation, viewmats = TURN.as_matrix(), []
     for place in places:
-        forward = rng.normal(size=3) * [1, 1, 0.3] if path == "spot" else rng.normal(size=3) - place - [0, 0, 15]
+        forward = rng.normal(size=3) - place - [0, 0, 15]
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, [0, 0, 1.0])
         right /= np.linalg.norm(right)
@@ -125,13 +117,10 @@ def test_gps_on_a_line_leaves_up_to_the_cameras_and_says_so():
     assert tilt < 2 and off < 0.03  # What is held to 2 degrees by each of 40 hands.
 
 
-@pytest.mark.parametrize(
-    ("path", "num_fixes", "message"), [("spot", COUNT, "told apart"), ("ring", 2, "in 2 of 40 photos")]
-)
-def test_gps_that_tells_no_scale_is_not_followed(path, num_fixes, message):
-    viewmats, fixes, _ = flight(MUNICH, noise=3.0, path=path)
-    solution = georeference(viewmats, [*fixes[:num_fixes], *[None] * (COUNT - num_fixes)])
-    assert not solution.place.is_known and message in solution.summary
+def test_gps_of_two_photos_tells_no_scale_and_is_not_followed():
+    viewmats, fixes, _ = flight(MUNICH, noise=3.0)
+    solution = georeference(viewmats, [*fixes[:2], *[None] * (COUNT - 2)])
+    assert not solution.place.is_known and "in 2 of 40 photos" in solution.summary
 
 
 def model_of(viewmats, point):
@@ -189,7 +178,6 @@ LOW, LEANING = np.radians([30, 10])
     [
         (6, (0, -1, 0), (0, 1, 0)),  # upright
         (1, (-1, 0, 0), (0, 1, 0)),  # its top to the left
-        (3, (1, 0, 0), (0, 1, 0)),  # to the right
         (8, (0, 1, 0), (0, 1, 0)),  # upside down
         (6, (0, -np.cos(LOW), -np.sin(LOW)), (0, np.cos(LOW), np.sin(LOW))),  # its back looks down, its screen up
         (6, (np.sin(LEANING), -np.cos(LEANING), 0), (np.sin(LEANING), np.cos(LEANING), 0)),  # its right side is lower
@@ -213,11 +201,9 @@ def test_a_gimbal_says_it_by_pitch_and_roll(tmp_path):
     [
         {},
         {"note": apple_note((0, -1, 0))[:40]},  # cut off
-        {"note": b"Apple iOS\0\0\x01XX" + bytes(30)},
         {"note": apple_note((0, -1.4, 0))},  # shaken
         {"note": apple_note((0.1, 0.1, -0.99))},  # looks straight down: no edge is the lower one
         {"note": apple_note((0, -1, 0)), "lens": "iPhone 12 front camera 2.71mm f/2.2"},
-        {"note": b"Nikon\0\2\0\0\0MM"},
         {"xmp": XMP.replace("Pitch", "Yaw").format(0, 0)},
     ],
 )

@@ -1,6 +1,5 @@
 from io import BytesIO
 from itertools import product
-from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.io.exif import is_adobe_rgb, orientation_of
+from gsjax.io.exif import orientation_of
 from gsjax.io.images import (
     check_image,
     image_size,
@@ -26,14 +25,6 @@ def noise(*shape, dtype=np.uint8, seed=0):
     return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, shape, dtype=dtype, endpoint=True)
 
 
-def test_deep_images_become_eight_bit_colours(tmp_path):
-    deep = noise(6, 4, dtype=np.uint16)
-    cv2.imwrite(str(tmp_path / "deep.png"), deep)
-    colors, alpha = read_image(tmp_path / "deep.png")
-    np.testing.assert_array_equal(colors, np.rint(deep / 257.0).astype(np.uint8)[..., None].repeat(3, -1))
-    assert alpha is None and image_size(tmp_path / "deep.png") == (4, 6)
-
-
 def test_masks_of_every_kind(tmp_path):
     mask = np.zeros((6, 4), np.uint8)
     mask[2:] = 255
@@ -48,29 +39,17 @@ def test_masks_of_every_kind(tmp_path):
         np.testing.assert_array_equal(read_mask(tmp_path / f"{name}.png"), mask, err_msg=name)
 
 
-@pytest.mark.parametrize(
-    ("size", "full", "fits"),
-    [
-        ((979, 546), (1957, 1091), True),  # Tanks and Temples
-        ((979, 549), (1957, 1091), False),  # three rows more than half of them
-        ((546, 979), (1957, 1091), False),
-        ((960, 540), (960, 544), False),  # four rows cut off
-        ((1, 1), (1, 1), True),
-    ],
-)
-def test_shapes_that_fit_and_that_do_not(size, full, fits):
-    assert same_shape(size, full) == same_shape(full, size) == fits
-
-
 @pytest.mark.parametrize("full", [(5187, 3361), (641, 480)])
 def test_a_size_fits_whichever_way_its_sides_were_rounded(full):
     for factor in (1.5, 1.9988, 3.3, 8.0):
         width, height = np.array(full) / factor
         sides = (int(np.floor(width)), int(np.ceil(width))), (int(np.floor(height)), int(np.ceil(height)))
-        assert all(same_shape(size, full) for size in product(*sides))
+        assert all(same_shape(size, full) and same_shape(full, size) for size in product(*sides))
+    assert not same_shape((546, 979), (1957, 1091)), "turned"
+    assert not same_shape((960, 540), (960, 544)), "four rows cut off"
 
 
-def test_tiffs_of_floats_and_of_more_bits_are_read_as_what_they_hold(tmp_path):
+def test_floats_and_more_bits_are_read_as_what_they_hold(tmp_path):
     grey = noise(6, 4)
     grey[0, :2] = 0, 255
     stored = {
@@ -85,6 +64,10 @@ def test_tiffs_of_floats_and_of_more_bits_are_read_as_what_they_hold(tmp_path):
         np.testing.assert_array_equal(read_image(tmp_path / f"{name}.tif")[0], grey[..., None].repeat(3, -1), name)
     Image.fromarray((grey > 99).astype(np.uint16)).save(tmp_path / "mask.tif")
     np.testing.assert_array_equal(read_mask(tmp_path / "mask.tif"), 255 * (grey > 99))
+    deep = noise(6, 4, dtype=np.uint16)
+    cv2.imwrite(str(tmp_path / "deep.png"), deep)
+    expected = np.rint(deep / 257.0).astype(np.uint8)[..., None].repeat(3, -1)
+    np.testing.assert_array_equal(read_image(tmp_path / "deep.png")[0], expected)
 
 
 SIGNALLING = np.array([0x7FA00000], np.uint32).view(np.float32)[0]  # A NaN that numpy warns of where it is cast.
@@ -107,32 +90,9 @@ def test_few_bits_in_sixteen_are_refused_and_not_black(tmp_path, name, channels,
         read_image(tmp_path / name)
     cv2.imwrite(str(tmp_path / name), deep)
     assert read_image(tmp_path / name)[0].max() > 200
-
-
-def test_an_object_out_of_view_in_sixteen_bits_is_an_empty_matte(tmp_path):
-    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((6, 4, 4), np.uint16))
-    colors, matte = read_image(tmp_path / "a.png")
+    cv2.imwrite(str(tmp_path / "out_of_view.png"), np.zeros((6, 4, 4), np.uint16))
+    colors, matte = read_image(tmp_path / "out_of_view.png")
     assert not colors.any() and matte is not None and not matte.any()
-
-
-def test_heic_is_read_by_its_bytes_whatever_its_name(tmp_path):
-    heif = pytest.importorskip("pillow_heif")
-    smooth = np.repeat(np.arange(0, 240, 6, dtype=np.uint8)[None, :, None], 30, 0).repeat(3, 2)
-    heif.from_pillow(Image.fromarray(smooth)).save(tmp_path / "a.heic", quality=95)
-    file = (tmp_path / "a.heic").rename(tmp_path / "a.jpg")
-    assert image_size(file) == upright_size(file) == (40, 30)
-    assert np.abs(read_image(file)[0].astype(int) - smooth).max() <= 4
-
-
-def test_a_side_of_millions_of_pixels_is_a_damaged_header(tmp_path):
-    file = tmp_path / "a.bmp"
-    Image.fromarray(np.zeros((9, 12, 3), np.uint8)).save(file)
-    data = bytearray(file.read_bytes())
-    data[18:22] = (134_217_740).to_bytes(4, "little")
-    file.write_bytes(data)
-    for read in (image_size, read_image):
-        with pytest.raises(InputError, match="a.bmp: 134217740x9 pixels by its header, which is damaged"):
-            read(file)
 
 
 def test_photos_are_held_to_memory_and_not_to_a_fixed_number_of_pixels(tmp_path, monkeypatch):
@@ -148,28 +108,16 @@ def test_photos_are_held_to_memory_and_not_to_a_fixed_number_of_pixels(tmp_path,
         read_image(tmp_path / "panorama.png")
 
 
-def test_a_full_disk_is_told_and_leaves_no_part_of_an_image(tmp_path, monkeypatch):
-    (tmp_path / "a.png").write_bytes(b"the old one")
-    full = Mock(side_effect=OSError(28, "No space left on device"))
-    monkeypatch.setattr("pathlib.Path.write_bytes", full)
-    with pytest.raises(InputError, match="cannot write .*a.png: No space left on device"):
-        write_image(tmp_path / "a.png", noise(50, 70, 3))
-    assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"the old one"]
-
-
-def jpeg(progressive=False):
+def jpeg():
     smooth = cv2.resize(noise(5, 7, 3), (64, 48), interpolation=cv2.INTER_CUBIC)
     stream = BytesIO()
-    Image.fromarray(smooth).save(stream, "JPEG", quality=90, progressive=progressive)
+    Image.fromarray(smooth).save(stream, "JPEG", quality=90)
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("progressive", [False, True])
 @pytest.mark.parametrize("end", [b"", bytes(9), b"\xff\xd9ftypmp42"])
-def test_a_jpeg_with_another_end_is_read_whole_and_named_where_its_marker_is_missing(
-    tmp_path, capsys, progressive, end
-):
-    data = jpeg(progressive)
+def test_a_jpeg_with_another_end_is_read_whole_and_named_where_its_marker_is_missing(tmp_path, capsys, end):
+    data = jpeg()
     (tmp_path / "whole.jpg").write_bytes(data)
     (tmp_path / "a.jpg").write_bytes(data[:-2] + end)
     check_image(tmp_path / "a.jpg")
@@ -195,9 +143,7 @@ HEADER = 14  # bytes: Exif, the kind of TIFF, and where its tags begin
 def exif(orientation=6):
     tags = Image.Exif()
     tags.endian = ">"
-    tags[0x010F], tags[0x8769] = "Maker", {0x920A: 4.2}
-    if orientation:
-        tags[0x0112] = orientation
+    tags[0x010F], tags[0x8769], tags[0x0112] = "Maker", {0x920A: 4.2}, orientation
     return tags.tobytes()
 
 
@@ -228,21 +174,7 @@ def test_a_header_of_exif_that_is_damaged_loses_no_orientation(tmp_path, at):
         assert orientation(photo(tmp_path / "a.jpg", bytes(data))) == 6
 
 
-def test_exif_that_ends_behind_the_orientation_loses_none_of_it(tmp_path):
-    data = exif()
-    end = data.index(b"\x01\x12\0\x03") + 12
-    assert orientation(photo(tmp_path / "a.jpg", data[:end])) == 6
-    assert orientation(photo(tmp_path / "b.jpg", data[: end - 8])) is None
-
-
-@pytest.mark.parametrize("data", [b"", exif(orientation=None)])
-def test_a_photo_without_exif_or_orientation_is_upright_as_stored(tmp_path, data):
-    assert orientation(photo(tmp_path / "a.jpg", data)) == 1
-
-
 def test_exif_whose_orientation_cannot_be_read_is_told(tmp_path, capsys):
     path = photo(tmp_path / "a.jpg", b"Exif\0\0MM\0*\0\0\0\x08 nothing of it is left")
     assert read_source_photo(path, "a.jpg").to_upright == 0
     assert f"{path}: its EXIF is damaged; the photo is taken as it is stored" in capsys.readouterr().err
-    with open_image(path) as picture:
-        assert not is_adobe_rgb(picture)

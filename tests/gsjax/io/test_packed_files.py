@@ -93,16 +93,6 @@ def test_a_compressed_ply_keeps_everything_to_the_steps_of_its_chunks(tmp_path_f
     assert clipped == beyond.sum()
 
 
-def test_chunks_of_a_compressed_ply_are_neighbours(tmp_path):
-    """Two crowds in turns and far apart: each is as exact as if it were alone."""
-    gaussians = some_gaussians(512, 0)
-    gaussians.means[::2] += 1000
-    write_compressed_ply(tmp_path / "g.compressed.ply", gaussians)
-    read = read_compressed_ply(tmp_path / "g.compressed.ply")
-    number = np.rint((read.log_scales[:, 0] + 6) / 0.01).astype(int)
-    assert np.abs(read.means - gaussians.means[number]).max() < 2 / 1023 / 2 + 1e-4
-
-
 @pytest.mark.parametrize(("name", "pixel_filter"), [*zip(READ_WRITE, ["classic", "mip", "mip"], strict=True)])
 def test_the_pixel_filter_and_what_was_packed_once_stay(tmp_path, name, pixel_filter):
     read, write = READ_WRITE[name]
@@ -146,15 +136,6 @@ def test_axes_of_its_own_in_an_spz_are_refused(tmp_path):
     (tmp_path / "g.spz").write_bytes(axes)
     with pytest.raises(InputError, match=r"g\.spz: tells axes of its own"):
         read_spz(tmp_path / "g.spz")
-
-
-def test_the_bytes_of_spz_are_those_by_hand(tmp_path):
-    """0.2 is 51 of 255; the mean's bits are as many as fit: 21."""
-    header, arrays = by_hand(3, ROTATIONS[3])
-    arrays[0] = b"".join(round(value * 2**21).to_bytes(3, "little", signed=True) for value in (1.5, 0.25, -3.0))
-    (tmp_path / "hand.spz").write_bytes(gzip.compress(header[:13] + bytes([21]) + header[14:] + b"".join(arrays)))
-    write_spz(tmp_path / "g.spz", read_spz(tmp_path / "hand.spz"))
-    assert gzip.decompress((tmp_path / "g.spz").read_bytes()) == gzip.decompress((tmp_path / "hand.spz").read_bytes())
 
 
 @pytest.mark.parametrize("with_colors", [False, True])
@@ -225,9 +206,6 @@ def test_far_gaussians_take_no_precision_from_others(tmp_path, name, count, numb
     assert (np.sum(came_in * directions, axis=1) / lengths > 0.9).all()
 
 
-MILLIONS = 4_000_000_000  # Gaussians that a header asks for
-
-
 @pytest.mark.parametrize("name", READ_WRITE)
 def test_what_no_file_can_hold_is_refused_by_name(tmp_path, name):
     _, write = READ_WRITE[name]
@@ -243,41 +221,22 @@ def test_what_no_file_can_hold_is_refused_by_name(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", READ_WRITE)
-def test_truncated_files_are_one_line(tmp_path, name):
-    read, write = READ_WRITE[name]
-    write(tmp_path / name, some_gaussians(300, 1))
-    whole = (tmp_path / name).read_bytes()
-    for share in (0, 0.001, 0.01, 0.2, 0.9, 0.999):
-        (tmp_path / name).write_bytes(whole[: int(share * len(whole))])
-        with pytest.raises(InputError, match=rf"{name}: (truncated|not an? |PLY header)") as error:
-            read(tmp_path / name)
-        assert "\n" not in str(error.value)
-
-
-def changed(place, value):
+def test_what_is_no_spz_is_named(tmp_path):
     header, arrays = by_hand(3, ROTATIONS[3])
-    return gzip.compress(header[:place] + bytes([value]) + header[place + 1 :] + b"".join(arrays))
 
+    def changed(place, value):
+        return gzip.compress(header[:place] + bytes([value]) + header[place + 1 :] + b"".join(arrays))
 
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
+    for data, message in (
         (b"ply\nformat", "not an SPZ file"),
-        (gzip.compress(b"something else of some length"), "not an SPZ file"),
         (gzip.compress(b"short"), "truncated, it ends within the header"),
         (changed(4, 9), "SPZ of version 9, not one of 2, 3"),
-        (changed(12, 5), "harmonics of degree 5, above 4"),
         (changed(8, 2), "truncated, 2 Gaussians need"),
         (changed(8, 1)[:30] + b"xxxx" + changed(8, 1)[34:], r"truncated or damaged \("),
-    ],
-    # Compressed bytes tell the time; workers that began in two seconds would not agree on the tests.
-    ids=lambda value: "" if isinstance(value, bytes) else value,
-)
-def test_what_is_no_spz_is_named(tmp_path, data, message):
-    (tmp_path / "g.spz").write_bytes(data)
-    with pytest.raises(InputError, match=rf"g.spz: {message}"):
-        read_spz(tmp_path / "g.spz")
+    ):
+        (tmp_path / "g.spz").write_bytes(data)
+        with pytest.raises(InputError, match=rf"g.spz: {message}"):
+            read_spz(tmp_path / "g.spz")
 
 
 def bomb(version, more=10**8):
@@ -293,24 +252,11 @@ def bomb(version, more=10**8):
     return whole[:32] + struct.pack("<Q", len(packed)) + whole[40:place] + packed + whole[place + first :]
 
 
-def greedy(version):
-    """A file whose header asks for a hundred gigabytes."""
-    header, arrays = by_hand(version, ROTATIONS[3])
-    header = header[:8] + struct.pack("<I", MILLIONS) + header[12:]
-    return gzip.compress(header + b"".join(arrays)) if version == 3 else version_4(header, arrays)
-
-
 @pytest.mark.parametrize(
-    ("make", "version", "message"),
-    [
-        (bomb, 3, "goes on for more than 1048576 bytes"),
-        (bomb, 4, "array 1 of 6 is not"),
-        (greedy, 3, "truncated, 4000000000 Gaussians need"),
-        (greedy, 4, "4000000000 Gaussians takes .* GiB of memory"),
-    ],
+    ("version", "message"), [(3, "goes on for more than 1048576 bytes"), (4, "array 1 of 6 is not")]
 )
-def test_an_spz_of_more_than_memory_holds_is_refused_in_little_memory(tmp_path, make, version, message):
-    (tmp_path / "g.spz").write_bytes(make(version))
+def test_an_spz_of_more_than_memory_holds_is_refused_in_little_memory(tmp_path, version, message):
+    (tmp_path / "g.spz").write_bytes(bomb(version))
     tracemalloc.start()
     try:
         with pytest.raises(InputError, match=f"g.spz: .*{message}"):
@@ -335,8 +281,6 @@ def test_what_is_no_compressed_ply_is_named(tmp_path):
     whole = path.read_bytes()
     for old, new, message in (
         (b"element chunk 1", b"element chunk 0", "3 Gaussians do not go with 0 chunks and 3 harmonics"),
-        (b"min_scale_x", b"min_scale_w", "not a compressed PLY of Gaussians"),
-        (b"packed_color", b"packed_light", "not a compressed PLY of Gaussians"),
         (b"uint packed_rotation", b"float packed_rotation", "not a compressed PLY of Gaussians"),
         (b"f_rest_8", b"f_more_8", r"has 8 columns f_rest_\*"),
     ):

@@ -89,5 +89,3 @@ def test_what_is_no_panorama_is_refused(tmp_path):
         source_photos.as_panoramas(source_photos.list_source_photos(tmp_path), None)
     with pytest.raises(InputError, match="--mask-below 30: is for panoramas of 360 degrees, add --panoramas"):
         reconstruct(tmp_path, tmp_path / "scene", mask_below=30.0)
-    with pytest.raises(InputError, match="--mask-below 90: degrees below the horizon are from 0 to less than 90"):
-        reconstruct(tmp_path, tmp_path / "scene", mask_below=90.0, panoramas=True)

@@ -46,9 +46,7 @@ def write_table(path, names, rows, form="binary_little_endian"):
     path.write_bytes(header.encode() + body)
 
 
-@pytest.mark.parametrize(
-    ("count", "degree", "pixel_filter"), [(0, 3, "classic"), (1, 0, "mip"), (7, 2, "classic"), (7, 4, "mip")]
-)
+@pytest.mark.parametrize(("count", "degree", "pixel_filter"), [(0, 3, "classic"), (1, 0, "mip"), (7, 4, "mip")])
 def test_what_is_written_is_read(tmp_path, count, degree, pixel_filter):
     gaussians = replace(some_gaussians(count, degree), pixel_filter=pixel_filter)
     write_gaussians(tmp_path / "g.ply", gaussians)
@@ -75,6 +73,10 @@ def test_the_layout_is_the_one_of_the_original_code(tmp_path):
     np.testing.assert_array_equal(column["rot_0"], gaussians.quats[:, 0])
     np.testing.assert_array_equal(column["scale_2"], gaussians.log_scales[:, 2])
     np.testing.assert_allclose(np.linalg.norm(rows[:, 3:6], axis=1), 1, rtol=1e-6)
+    points, colors = read_points(tmp_path / "g.ply")
+    np.testing.assert_array_equal(points, gaussians.means)
+    expected_colors = np.clip(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, 0, 1)
+    np.testing.assert_allclose(colors / 255, expected_colors, atol=0.5001 / 255)
 
 
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
@@ -93,10 +95,8 @@ def test_columns_in_any_order_with_foreign_ones_and_in_every_form(tmp_path, form
     [
         ([], "classic"),
         (["Exported from Brush", "SH degree: 0", "SplatRenderMode: mip"], "mip"),
-        (["SPLATRENDERMODE:  MIP  "], "mip"),
         (["antialiased 1"], "mip"),
         (["SplatRenderMode: mip", "antialiased 0"], "classic"),  # the last of them
-        (["not SplatRenderMode: mip"], "classic"),
     ],
 )
 def test_the_pixel_filter_is_told_by_the_comments_of_other_programs(tmp_path, comments, expected):
@@ -139,17 +139,6 @@ def test_rows_that_are_not_finite_are_left_out_and_counted(tmp_path, capsys):
         read_gaussians(tmp_path / "h.ply")
 
 
-@pytest.mark.parametrize("cameras", [None, np.array([[0.4, -0.3, 2.0], [-5.0, 1.0, 0.0]])])
-def test_a_mean_that_is_not_finite_turns_no_other_normal(tmp_path, cameras):
-    gaussians = some_gaussians()
-    gaussians.means[:, :] = [*([1.0 + n, 0, 0] for n in range(6)), [np.nan, np.inf, 0]]
-    gaussians.quats[:] = [1, 0, 0, 0]
-    gaussians.log_scales[:] = [-5, 0, 0]  # The smallest axis is x.
-    write_gaussians(tmp_path / "all.ply", gaussians, cameras=cameras)
-    write_gaussians(tmp_path / "finite.ply", take(gaussians, np.arange(6)), cameras=cameras)
-    np.testing.assert_array_equal(normals(tmp_path / "all.ply")[:6], normals(tmp_path / "finite.ply"))
-
-
 @pytest.mark.parametrize("third", ["absent", "minus infinity"])
 def test_discs_of_2dgs_are_discs(tmp_path, capsys, third):
     gaussians = some_gaussians()
@@ -169,7 +158,7 @@ def test_discs_of_2dgs_are_discs(tmp_path, capsys, third):
     np.testing.assert_allclose(thin, 1e-4, rtol=1e-4)
 
 
-@pytest.mark.parametrize(("kind", "most"), [("uchar", 255), ("ushort", 65535), ("ushort", 255), ("float", 1)])
+@pytest.mark.parametrize(("kind", "most"), [("uchar", 255), ("ushort", 65535), ("float", 1)])
 def test_colours_instead_of_harmonics(tmp_path, kind, most):
     """As nerfstudio's `--ply-color-mode rgb` writes them; programs write them as numbers of many types and ranges."""
     names = ["x", "y", "z", "opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
@@ -189,15 +178,11 @@ def test_what_is_no_ply_of_gaussians_is_named(tmp_path):
     write_gaussians(tmp_path / "g.ply", some_gaussians())
     whole = (tmp_path / "g.ply").read_bytes()
     for old, new, message in (
-        (whole, b"\x89PNG\r\n", "not a PLY file"),
         (whole[-5:], b"", "truncated"),
         (b"float opacity", b"float more", "not a PLY of Gaussians, it lacks opacity$"),
         (b"f_rest_44", b"more", r"44 columns f_rest_\*"),
-        (b"float y\n", b"float x\n", r"header not understood \(a column of 'vertex' is there twice\)"),
         (b"vertex 7", b"vertex 999999999999999999", "truncated, 999999999999999999 rows of 'vertex' need"),
-        (b"vertex 7", b"vertex -3", "header not understood"),
         (b"property float y\n", b"property list uchar int y\n", r"not understood \(its vertices have lists"),
-        (b"vertex 7", b"vertex " + 5000 * b"9", "header not understood"),
         (b"property float y\n", b"property int y\n", None),
     ):
         assert old in whole
@@ -223,7 +208,7 @@ def test_opacities_of_0_and_1_get_logits_that_are_numbers(tmp_path):
     np.testing.assert_array_equal(1 / (1 + np.exp(-logits[:2])), np.float32([1, np.exp(np.float32(-88))]))
 
 
-@pytest.mark.parametrize("names", ["", "R G B", "Red Green Blue", "scalar_Red scalar_Green scalar_Blue"])
+@pytest.mark.parametrize("names", ["", "R G B", "scalar_Red scalar_Green scalar_Blue"])
 def test_points_have_the_colours_of_other_names_or_are_grey_and_broken_ones_are_left_out(tmp_path, capsys, names):
     colors = [[0, 51, 255], [7, 7, 7], [255, 0, 102]] if names else [[], [], []]
     rows = np.c_[[[1, 2, 3], [np.nan, 0, 0], [4, 5, 6]], colors]
@@ -232,36 +217,6 @@ def test_points_have_the_colours_of_other_names_or_are_grey_and_broken_ones_are_
     np.testing.assert_array_equal(points, [[1, 2, 3], [4, 5, 6]])
     np.testing.assert_array_equal(read, colors[::2] if names else np.full((2, 3), 128))
     assert "p.ply: holds values that are not finite; 1 of 3 points is left out\n" in capsys.readouterr().err
-
-
-def test_too_few_points_and_points_without_a_place_are_named(tmp_path):
-    for names, row, fault in (
-        (["x", "y"], [1, 2], "it lacks z"),
-        (["x", "y", "z"], [1, 2, 3], "1 points in it, at least 2 are needed"),
-    ):
-        write_table(tmp_path / "p.ply", names, [row])
-        with pytest.raises(InputError, match=fault):
-            read_points(tmp_path / "p.ply", least=2)
-
-
-def test_gaussians_as_points_have_their_colours(tmp_path):
-    gaussians = some_gaussians()
-    write_gaussians(tmp_path / "g.ply", gaussians)
-    expected = np.clip(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, 0, 1)
-    points, colors = read_points(tmp_path / "g.ply")
-    np.testing.assert_allclose(points, gaussians.means, rtol=1e-6)
-    np.testing.assert_allclose(colors / 255, expected, atol=0.5001 / 255)
-
-
-@pytest.mark.parametrize(("kind", "far", "is_told"), [("f4", 4.5e6, True), ("f8", 4.5e6, False), ("f4", 0.0, False)])
-def test_a_cloud_that_single_precision_has_put_on_a_grid_is_told(tmp_path, capsys, kind, far, is_told):
-    points = np.random.default_rng(0).uniform(-1, 1, (50, 3)) + [0, far, 0]
-    lines = [f"property {'float' if kind == 'f4' else 'double'} {axis}" for axis in "xyz"]
-    head = ["ply", "format binary_little_endian 1.0", "element vertex 50", *lines, "end_header", ""]
-    file = tmp_path / f"{kind}.ply"
-    file.write_bytes("\n".join(head).encode() + points.astype(f"<{kind}").tobytes())
-    read_points(file)
-    assert ("which there is a grid of 0.5; save them as doubles" in capsys.readouterr().err) == is_told
 
 
 def with_columns(path, **columns):
@@ -293,7 +248,7 @@ def test_a_3d_filter_is_fused(tmp_path, capsys, name):
     assert capsys.readouterr().err == f"{tmp_path / 'g.ply'}: {name} is fused into scales and opacities\n"
 
 
-@pytest.mark.parametrize(("logit", "width"), [(88.0, 0.0), (-88.0, 0.0), (88.0, 1e-20), (40.0, 1e-3), (-88.0, 1e6)])
+@pytest.mark.parametrize(("logit", "width"), [(88.0, 0.0), (88.0, 1e-20), (-88.0, 1e6)])
 def test_extremes_stay_numbers(logit, width):
     log_scales, logits = fuse_filter(np.full((1, 3), -3.0), np.array([[logit]]), np.array([[width]]))
     assert np.isfinite(log_scales).all() and np.isfinite(logits).all()
@@ -307,7 +262,6 @@ def test_extremes_stay_numbers(logit, width):
         (["t", "scale_t", "rot_r_0", "rot_r_1"], r"move or fade over time \(t, scale_t, rot_r_\*\)"),
         (["beta"], r"kernels other than Gaussians \(beta\)"),
         (["sg_axis_0", "sg_axis_1", "sg_sharpness_0"], r"spherical harmonics \(sg_axis_\*, sg_sharpness_0\)"),
-        (["sb_params_0"], "other than spherical harmonics"),
         (["f_offset_0", "f_anchor_feat_0"], "anchors of a network"),
     ],
 )

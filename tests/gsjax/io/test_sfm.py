@@ -180,47 +180,29 @@ def priors_of(folder, *photos):
     priors, ignored = initial_cameras.focal_priors(shots)
     cameras = initial_cameras.guess_cameras(shots, priors)
     focals = [camera.mean_focal_length() / PIXELS_A_MM if camera.has_prior_focal_length else None for camera in cameras]
-    return cameras, focals, ignored
+    return focals, ignored
 
 
-def test_another_digital_zoom_is_another_camera_and_none_is_none_however_it_is_written(tmp_path):
-    zooms = (None, 1.0, IFDRational(0, 1), IFDRational(0, 0), 1.6)
-    cameras, focals, _ = priors_of(tmp_path, *({"film": 28, "zoom": zoom} for zoom in zooms))
-    assert len({camera.camera_id for camera in cameras[:4]}) == 1 != cameras[4].camera_id
-    np.testing.assert_allclose(focals, [28] * 4 + [1.6 * 28], rtol=1e-3)
+PHONE = {"film": 45, "zoom": 1.6}
 
 
 @pytest.mark.parametrize(
-    ("films", "zooms", "expected"),
+    ("tags", "expected"),
     [
-        ((28, 45, 84), (1.0, 1.6, 3.0), [28, 45, 84]),  # as phones write that note 45 for 28 mm zoomed by 1.6
-        ((28, 28), (2.0, 1.6), [56, 44.8]),  # No photo is without zoom.
+        ([{"film": 28, "zoom": zoom} for zoom in (None, 1.0, IFDRational(0, 0), 1.6)], [28, 28, 28, 1.6 * 28]),
+        ([{"film": 28, "zoom": 1.0}, PHONE, {"film": 84, "zoom": 3.0}], [28, 45, 84]),  # It includes the zoom.
+        ([{"film": 28, "zoom": 2.0}, {"film": 28, "zoom": 1.6}], [56, 44.8]),  # No photo is without zoom.
+        ([PHONE | {"make": "Apple"}, PHONE, {"film": 20, "lens": 2.2}], [45, None, 20]),
+        ([{"film": 7}, {"film": 400, "lens": 90.0}], [None, 400]),
     ],
+    ids=["constant", "includes zoom", "all zoomed", "unknown", "out of range"],
 )
-def test_a_35_mm_equivalent_that_changes_with_the_zoom_includes_it(tmp_path, films, zooms, expected):
-    _, focals, _ = priors_of(tmp_path, *({"film": film, "zoom": zoom} for film, zoom in zip(films, zooms, strict=True)))
-    np.testing.assert_allclose(focals, expected, rtol=1e-3)
-
-
-def test_where_no_photo_shows_it_an_iphone_includes_the_zoom_and_others_leave_it_unknown(tmp_path):
-    tags = {"film": 45, "zoom": 1.6}
-    _, focals, ignored = priors_of(tmp_path, tags | {"make": "Apple"}, tags, {"film": 20, "lens": 2.2})
-    np.testing.assert_allclose([focals[0], focals[2]], [45, 20], rtol=1e-3)
-    assert focals[1] is None
-    assert ignored == {"1.jpg": "it does not say whether 45 mm of 35 mm film includes its zoom 1.6"}
-
-
-@pytest.mark.parametrize(("film", "is_taken"), [(7, False), (8, True), (400, True), (401, False)])
-def test_only_focal_lengths_of_lenses_are_taken_and_others_named(tmp_path, film, is_taken):
-    cameras, focals, ignored = priors_of(tmp_path, {"film": film}, {"film": film})
-    if is_taken:
-        np.testing.assert_allclose(focals, film, rtol=1e-3)
-        assert ignored == {}
-    else:
-        assert focals == [None, None]
-        assert cameras[0].mean_focal_length() == pytest.approx(1.2 * 300), "as without EXIF"
-        reason = f"{film} mm of 35 mm film is not between 8 and 400"
-        assert ignored == {"0.jpg": reason, "1.jpg": reason}
+def test_focal_lengths_for_35_mm_film_with_and_without_digital_zoom(tmp_path, tags, expected):
+    """By what other photos of the camera show; an iPhone includes the zoom. Those of no lens are ignored and named."""
+    focals, ignored = priors_of(tmp_path, *tags)
+    np.testing.assert_allclose(np.array(focals, float), np.array(expected, float), rtol=1e-3)
+    assert list(ignored) == [f"{index}.jpg" for index, focal in enumerate(expected) if focal is None]
+    assert all("mm of 35 mm film" in reason for reason in ignored.values())
 
 
 def fake_model(registered, points=100):

@@ -1,7 +1,6 @@
 """SOG: within its steps of what was written, its bytes by hand, and what is refused."""
 
 import json
-import tracemalloc
 import zipfile
 
 import numpy as np
@@ -139,11 +138,8 @@ def test_sog_by_hand(tmp_path):
     [
         ({"version": 3}, "SOG of version 3, not 2"),
         ({"count": 17}, r"means_l.webp: 4x4 pixels for 17"),
-        ({"count": -1}, "meta.json: a count of -1"),
         ({"count": 200_000_000}, "200000000 Gaussians takes .* GiB of memory"),
-        ({"scales": {"codebook": [0.0] * 9, "files": ["scales.webp"]}}, "scales.codebook is a list of 9"),
         ({"quats": {"files": ["../../x"]}}, r"not a SOG file, it holds no '../../x'"),
-        ({"quats": {"files": []}}, "quats.files is empty"),
         ({"quats": {"files": ["sh0.webp"]}}, "quaternions whose largest component is none of four"),
         ({"shN": by_hand()["meta.json"]["shN"] | {"count": 1}}, "labels of harmonics beyond the 1 that there are"),
         ({"means": {"mins": [0, 0, 0], "maxs": [99, 0, 0], "files": ["means_l.webp"] * 2}}, "beyond what float32"),
@@ -152,21 +148,5 @@ def test_sog_by_hand(tmp_path):
 def test_what_is_no_sog_is_named(tmp_path, changes, message):
     parts = by_hand()
     parts["meta.json"] |= changes
-    with pytest.raises(InputError, match=rf"g.sog: .*{message}" if "meta.json" not in message else message):
+    with pytest.raises(InputError, match=rf"g.sog: .*{message}"):
         read_sog(written_parts(tmp_path / "g.sog", parts))
-
-
-def test_a_sog_that_inflates_without_end_is_refused_in_little_memory(tmp_path):
-    for name, content in (("meta.json", b" " * 10**7), ("sh0.webp", bytes(10**7)), ("quats.webp", None)):
-        huge = content or lossless_webp(np.zeros((2000, 2000, 3), np.uint8))
-        with zipfile.ZipFile(tmp_path / "g.sog", "w", zipfile.ZIP_DEFLATED) as archive:
-            for member, part in {**by_hand(), name: huge}.items():
-                archive.writestr(member, part if isinstance(part, bytes) else json.dumps(part))
-        del huge
-        tracemalloc.start()
-        try:
-            with pytest.raises(InputError, match=r"g.sog: .*(more than|2000x2000 pixels)"):
-                read_sog(tmp_path / "g.sog")
-            assert tracemalloc.get_traced_memory()[1] < 5e6
-        finally:
-            tracemalloc.stop()

@@ -15,7 +15,6 @@ from gsjax.io.photos import Photo
 from gsjax.io.splits import mark_held_out
 
 LENS = Lens("PINHOLE", 240, 160, (200.0, 200.0, 120.0, 80.0))
-FOX = sorted((Path(__file__).parents[4] / "shared/data/fox/images").glob("*"))
 
 
 def texture(seed, width=240, height=160):
@@ -82,11 +81,6 @@ def test_views_without_texture_are_not_one_shot(tmp_path):
     assert len(group_duplicates(files)) == 11
 
 
-@pytest.mark.skipif(not FOX, reason="needs ../shared/data/fox")
-def test_neighbouring_photos_of_a_capture_are_different_shots():
-    assert len(group_duplicates(FOX)) == len(FOX)
-
-
 def photos_of(files, held_out=()):
     return [Photo(file.name, file, np.eye(4), LENS, held_out=file.name in held_out) for file in files]
 
@@ -122,13 +116,6 @@ def test_copies_of_photos_that_a_split_names_are_held_out_with_them(tmp_path, ca
     assert held_out("none", root, [replace(photo, held_out=True) for photo in photos]) == []
 
 
-def test_the_layouts_own_split_is_the_default_and_gives_way_to_another(tmp_path):
-    own = [replace(photo, held_out=photo.name in NAMES[3:5]) for photo in PHOTOS]
-    assert held_out("auto", tmp_path, own) == NAMES[3:5]
-    assert held_out("8", tmp_path, own) == NAMES[::8]
-    assert held_out("none", tmp_path, own) == []
-
-
 def test_a_list_in_a_file_and_the_data_sets_own_list(tmp_path):
     """A name that looks like a comment or ends in a space is a name where a photo has it."""
     text = f"# a comment\n\n  {NAMES[4]}  \r\n{NAMES[1]}\n{NAMES[4]}\n"
@@ -145,7 +132,6 @@ def test_a_list_in_a_file_and_the_data_sets_own_list(tmp_path):
     ("hold_out", "content", "message"),
     [
         ("list.txt", b"#\n\n007.jpeg", "list.txt, line 3: there is no photo 007.jpeg; the nearest name is 007.jpg"),
-        ("list.txt", b"# none\n", "list.txt: names no photo; --hold-out none holds none out"),
         ("list.txt", b"\xff\xfe\x00", "list.txt: cannot be read as a list of photos"),
         ("gone.txt", b"", "gone.txt: no such list of photos; --hold-out takes a number, none, or a file"),
         ("1", b"", "--hold-out 1: every N-th photo needs an N of at least 2"),

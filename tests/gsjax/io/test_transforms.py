@@ -61,15 +61,6 @@ def test_points_of_the_named_file_are_taken(tmp_path):
     np.testing.assert_array_equal(load_scene(root).points, [[1, 2, 3], [4, 5, 6]])
 
 
-def test_masks_named_in_the_file(tmp_path):
-    root = write(tmp_path, fl_x=50.0)
-    mask = np.full((30, 40), 255, np.uint8)
-    mask[:10] = 0
-    cv2.imwrite(str(root / "m.png"), mask)
-    edit(root, lambda m: m["frames"][2].update(mask_path="m.png"))
-    np.testing.assert_array_equal(load_scene(root).frames[2].pixels().valid, mask)
-
-
 def test_nerf_synthetic_keeps_its_own_split_and_its_alpha(tmp_path):
     write(tmp_path, "transforms_train.json", "train", suffix="", camera_angle_x=0.8)
     write(tmp_path, "transforms_test.json", "test", suffix="", camera_angle_x=0.8, poses=ring(3))
@@ -91,14 +82,6 @@ def test_radial_cameras_by_any_name_and_case_are_one_lens(tmp_path, name):
     root = write(tmp_path, fl_x=50.0, fl_y=51.0, camera_model=name, k1=0.1, k2=0.2, p1=0.3, p2=0.4)
     params = {photo.lens.params for photo in read_transforms(root).photos}
     assert params == {(50, 51, 20, 15, 0.1, 0.2, 0.3, 0.4, *[0] * 4)}
-
-
-def test_an_even_scale_of_a_camera_changes_nothing(tmp_path):
-    plain = load_scene(write(tmp_path / "plain", fl_x=50.0)).frames
-    for scale in (np.diag([3, 3, 3, 1.0]), 2 * np.eye(4)):
-        scaled = load_scene(write(tmp_path / "s", fl_x=50.0, poses=[pose @ scale for pose in ring()])).frames
-        for ours, theirs in zip(scaled, plain, strict=True):
-            np.testing.assert_allclose(ours.viewmat, theirs.viewmat, atol=1e-6)
 
 
 def names(scene, which):
@@ -136,12 +119,11 @@ def test_a_file_for_testing_beside_the_other_holds_out_its_photos(tmp_path, layo
     assert len(load_scene(root).frames) == 8
 
 
-@pytest.mark.parametrize("bad", [True, "true"])
-def test_bad_frames_and_frames_for_testing_of_scannet(tmp_path, capsys, bad):
+def test_bad_frames_and_frames_for_testing_of_scannet(tmp_path, capsys):
     root = write(tmp_path, fl_x=50.0)
 
     def change(meta):
-        meta["frames"][1]["is_bad"] = bad
+        meta["frames"][1]["is_bad"] = "true"
         meta["frames"][2]["is_bad"] = False
         meta["test_frames"] = [meta["frames"].pop(5), meta["frames"].pop()]
 
@@ -159,9 +141,8 @@ def test_json_of_every_encoding_is_read(tmp_path, encoding):
     assert len(load_scene(root).frames) == 8
 
 
-@pytest.mark.parametrize("absolute", [True, False])
-def test_a_linked_folder_of_photos_is_named_as_if_it_were_there(tmp_path, monkeypatch, absolute):
-    """Masks beside it are its masks, and names are the same from wherever the scene is loaded."""
+def test_a_linked_folder_of_photos_is_named_as_if_it_were_there(tmp_path, monkeypatch):
+    """Masks beside it, or named in the file, are its masks; names are the same from wherever the scene is loaded."""
     root = write(tmp_path / "scene", fl_x=50.0)
     (root / "images").rename(tmp_path / "disk")
     (root / "images").symlink_to(tmp_path / "disk")
@@ -169,24 +150,15 @@ def test_a_linked_folder_of_photos_is_named_as_if_it_were_there(tmp_path, monkey
     mask[:, 20:] = 0
     (root / "masks").mkdir()
     cv2.imwrite(str(root / "masks/000.png"), mask)
-    if absolute:
-        edit(root, lambda m: [f.update(file_path=str(root / f["file_path"])) for f in m["frames"]])
+    edit(root, lambda m: [f.update(file_path=str(root / f["file_path"])) for f in m["frames"]])
+    edit(root, lambda m: m["frames"][2].update(mask_path="masks/000.png"))
     monkeypatch.chdir(tmp_path)
     for folder in ("scene", root):
         frames = load_scene(folder).frames
         assert [frame.name for frame in frames] == [f"{i:03d}.png" for i in range(8)]
-        np.testing.assert_array_equal(frames[0].pixels().valid, mask)
-
-
-def test_photos_outside_the_data_set_are_not_their_own_masks(tmp_path):
-    root = write(tmp_path / "scene", fl_x=50.0)
-    (root / "images").rename(tmp_path / "disk")
-    edit(root, lambda m: [f.update(file_path=str(tmp_path / "disk" / f["file_path"][-7:])) for f in m["frames"]])
-    (root / "masks").mkdir()
-    cv2.imwrite(str(root / "masks/002.png"), np.zeros((30, 40), np.uint8))
-    photos = {photo.name[-7:]: photo for photo in load_scene(root).frames}
-    assert photos["001.png"].pixels().valid is None
-    assert (photos["002.png"].pixels().valid == 0).all()
+        assert [frame.pixels().valid is not None for frame in frames] == [True, False, True] + 5 * [False]
+        for frame in (frames[0], frames[2]):
+            np.testing.assert_array_equal(frame.pixels().valid, mask)
 
 
 @pytest.mark.parametrize(
@@ -194,15 +166,9 @@ def test_photos_outside_the_data_set_are_not_their_own_masks(tmp_path):
     [
         (lambda m: m.pop("frames"), 'has no list "frames"'),
         (lambda m: m.update(train_filenames=["images/gone.png"]), "gone.png, which is the file_path of no frame"),
-        (lambda m: m.update(test_filenames=7), "test_filenames is no list of names"),
         (lambda m: m.update(frames=[f | {"is_bad": True} for f in m["frames"]]), "leaves all of its frames out"),
-        (lambda m: m.update(camera_model=["OPENCV"]), "unknown camera_model that is no text"),
-        (lambda m: m.update(cx=[1]), "has cx a list, which is no number"),
-        (lambda m: m.update(fl_x=None, camera_angle_x=7), "camera_angle_x 7, which is no angle"),
         (lambda m: m.pop("fl_x"), "neither fl_x nor camera_angle_x"),
-        (lambda m: m.update(cx=-9e6), "has a principal point that lies 100 times its size away"),
         (lambda m: m.update(fl_x=-5.0), "(PINHOLE 40x30 with -5, -5, 20, 15) has a focal length that is not positive"),
-        (lambda m: m.update(fl_x=10**300), "has fl_x 100000000000000000...0000000000000000000, which is no number"),
         (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),
         (lambda m: m.update(k4=0.1), "takes no k4"),
         (lambda m: m.update(w=80, h=50), "image is 40x30 but its camera says 80x50"),
@@ -224,11 +190,8 @@ def test_faults_are_named(tmp_path, change, message):
         (lambda m: m["frames"][3].update(transform_matrix=[[1, 2], [3, 4]]), "003.png is not a finite 4x4 matrix"),
         (lambda m: m["frames"][3].update(transform_matrix=np.diag([1, 2, 1, 1.0]).tolist()), "stretches by 2, 1, 1"),
         (lambda m: m["frames"][3].update(transform_matrix=np.diag([1, -1, 1, 1.0]).tolist()), "it mirrors"),
-        (lambda m: m["frames"][3].update(transform_matrix=(np.eye(4) + np.eye(4, k=-3)).tolist()), "a row 0, 0, 0, 1"),
-        (lambda m: m["frames"][3].update(mask_path=7), "mask_path is no text"),
         (lambda m: m["frames"][3].update(mask_path="gone.png"), "gone.png: no such image"),
         (lambda m: m["frames"][3].update(file_path="images/gone.png"), "gone.png: no such image"),
-        (lambda m: m["frames"][3].update(file_path="images/a\0b.png"), "embedded null byte"),
         (lambda m: m["frames"][3].update(file_path="images/002.png"), "listed more than once, with several cameras"),
     ],
 )
@@ -240,14 +203,3 @@ def test_a_frame_with_a_fault_is_left_out_and_named(tmp_path, capsys, change, me
     assert set(whole) - set(left) <= {"002.png", "003.png"} and len(left) in (len(whole) - 1, len(whole) - 2)
     output = capsys.readouterr().err
     assert message in output and re.search("is left out(: .*)?\n", output)
-
-
-def test_poses_for_testing_whose_pictures_were_never_rendered_are_left_out(tmp_path, capsys):
-    """More of them than photos: nothing of training is missing, and every 8th photo is held out."""
-    root = write(tmp_path, fl_x=50.0, w=40, h=30)
-    meta = json.loads((root / "transforms.json").read_text())
-    tests = [{**meta["frames"][0], "file_path": f"test/{index}.png"} for index in range(20)]
-    (root / "transforms_test.json").write_text(json.dumps({**meta, "frames": tests}))
-    scene = load_scene(root)
-    assert [frame.name for frame in scene.held_out_frames] == [frame.name for frame in scene.frames][::8]
-    assert "test/0.png: no such image; 20 of 20 photos for testing are left out: " in capsys.readouterr().err

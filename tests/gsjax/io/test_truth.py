@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io.scenes import load_scene
 from gsjax.io.truth import load_truth
 from gsjax.scene import Pixels, frame_of
 
@@ -29,40 +28,6 @@ def test_maps_are_read_at_the_nearest_pixel_centre_and_normals_become_unit(tmp_p
     normals = load_truth(tmp_path, (frame(),)).normals["a/001.png"]()
     assert normals.dtype == np.float32 and not normals[0].any()
     np.testing.assert_allclose(normals[1:], np.broadcast_to([0.6, 0, -0.8], (3, 6, 3)), atol=3e-4)
-
-
-def test_a_true_mesh_is_named_where_points_say_what_of_it_was_seen(tmp_path):
-    (tmp_path / "gt_mesh.ply").write_bytes(b"read by whoever needs it")
-    assert load_truth(tmp_path, (frame(),)) is None
-    up = np.tile([0.0, 0.0, 2.0], (3, 1))
-    np.savez(tmp_path / "gt_points.npz", points=up, normals=up, label=np.zeros(3, int))
-    truth = load_truth(tmp_path, (frame(),))
-    assert truth.mesh == tmp_path / "gt_mesh.ply"
-    np.testing.assert_array_equal(truth.point_normals, up / 2)
-    (tmp_path / "gt_mesh.ply").unlink()
-    assert load_truth(tmp_path, (frame(),)).mesh is None
-
-
-def test_bunny_depth_lies_on_the_ground_and_normals_match_it(shared):
-    scene = load_scene(shared / "data/bunny_plane", downscale=2)
-    truth = scene.truth
-    assert set(truth.depths) == set(truth.normals) == {f.name for f in scene.frames}
-    for f in scene.frames[::20]:
-        labels, depth, normals = (maps[f.name]() for maps in (truth.labels, truth.depths, truth.normals))
-        ground = labels == 255
-        y, x = np.nonzero(ground)
-        # A map read at the nearest pixel keeps that pixel's ray, half a pixel from the downscaled one.
-        pixels = np.stack([x + 0.75, y + 0.75, np.ones_like(x)], axis=-1)
-        cam = pixels @ np.linalg.inv(f.K.astype(float)).T * depth[ground][:, None]
-        world = (cam - f.viewmat[:3, 3]) @ f.viewmat[:3, :3]
-        assert np.abs(world[:, 2]).max() < 2e-4
-        up = np.broadcast_to([0, 0, 1], world.shape)
-        np.testing.assert_allclose(normals[ground] @ f.viewmat[:3, :3], up, atol=1e-2)
-        sky = labels == 0
-        assert not normals[sky].any() and not depth[sky].any()
-    assert truth.points.shape == truth.point_normals.shape == (40_000, 3)
-    assert np.abs(truth.points[truth.point_labels == 1, 2]).max() < 1e-5
-    np.testing.assert_allclose(np.linalg.norm(truth.point_normals, axis=1), 1, atol=1e-5)
 
 
 def test_faults_are_named(tmp_path):

@@ -5,9 +5,7 @@ import pytest
 from tolerances import assert_close
 
 from gsjax.errors import InputError
-from gsjax.rendering import View
 from gsjax.scene import Pixels, batches, frame_of, with_pixels
-from gsjax.training.terms import losses
 
 RNG = np.random.default_rng(0)
 BLACK = jnp.zeros(3, jnp.float32)
@@ -32,21 +30,6 @@ def test_mixed_sizes_are_padded_right_and_below_and_the_padding_is_invalid():
     assert_close(tall.valid, np.zeros((10, 1)) + np.arange(12) < 8)
     assert_close((tall.camera.viewmat, wide.camera.K), (frames[1].viewmat, frames[0].K))
     assert (tall.camera.width, tall.camera.height) == (12, 10)
-
-
-def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
-    small, large = frame(12, 14), frame(16, 18)
-    rendered = RNG.random((18, 16, 3)).astype(np.float32)
-
-    @jax.jit
-    def terms(batch, colors):
-        view = View(colors, colors[..., 0], None, None)
-        return losses.l1(None, view, batch), losses.dssim(None, view, batch)
-
-    alone = batches.decode(batches.read_batches((small,)).views[0], BLACK)
-    padded = batches.decode(batches.read_batches((large, small)).views[1], BLACK)
-    assert padded.image.shape == (18, 16, 3)
-    assert_close(terms(padded, rendered), terms(alone, rendered[:14, :12]))
 
 
 def test_a_whole_photo_is_not_copied_and_a_matte_lays_it_over_the_background():

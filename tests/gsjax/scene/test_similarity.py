@@ -17,8 +17,7 @@ from gsjax.io.ply_elements import read_elements
 from gsjax.io.scenes import load_scene
 from gsjax.meshing import export
 from gsjax.meshing.atlas import Atlas, TexturedMesh
-from gsjax.pipeline.undistort import undistort
-from gsjax.runs.result import open_result, recorded_camera, write_views
+from gsjax.runs.result import open_result
 from gsjax.scene import similarity as similarities
 from gsjax.scene.georeference import UNPLACED
 from gsjax.scene.meshes import Mesh
@@ -28,7 +27,6 @@ TURN = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 WORLDS = {
     "as it is": (1.0, np.eye(3), np.zeros(3)),
     "utm": (1.0, np.eye(3), np.array([512_345.6, 4_500_123.4, 103.2])),
-    "a thousand": (1000.0, np.eye(3), np.zeros(3)),
     "a thousandth": (1e-3, np.eye(3), np.zeros(3)),
     "a millionth, far off": (1e-6, np.eye(3), np.array([0.2, -0.7, 0.1])),
     "turned and shifted": (2.7, TURN, np.array([-3e5, 20.0, 7e4])),
@@ -99,44 +97,6 @@ def test_what_is_read_looks_the_same_in_every_world(world, tmp_path):
     assert 1 <= similarities.spread(centers) < 4.001
 
 
-@pytest.mark.parametrize("world", ["as it is", "a millionth, far off", "turned and shifted"])
-def test_random_points_of_the_synthetic_layout_lie_where_its_cameras_look(world, tmp_path):
-    write_scene(tmp_path, world)
-    (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
-    scene = load_scene(tmp_path)
-    assert scene.source == "nerf-synthetic" and len(scene.points) > 25_000
-    places = scene.similarity.points_to_world(scene.points)
-    scale, _, shift = WORLDS[world]
-    assert np.abs(places.mean(axis=0) - shift).max() < 0.05 * scale
-    assert np.abs(places - shift).max() < (1.31 if world == "as it is" else 3.1 * scale)
-
-
-@pytest.mark.parametrize("world", ["utm", "a millionth, far off", "turned and shifted"])
-def test_views_are_written_where_the_user_has_them_and_read_back(world, tmp_path):
-    scene = load_scene(write_scene(tmp_path, world))
-    run = runs.create(tmp_path / "run", {"background": "black"}, scene=tmp_path, seed=0, similarity=scene.similarity)
-    write_views(run, scene.frames)
-    assert runs.read_similarity(run) == scene.similarity
-    records = json_files.read(run / "cameras.json")
-    centers = [-np.array(r["viewmat"])[:3, :3].T @ np.array(r["viewmat"])[:3, 3] for r in records]
-    np.testing.assert_allclose(centers, moved(world, POSES[:, :3, 3]), atol=1e-5 * WORLDS[world][0])
-    for frame, record in zip(scene.frames, records, strict=True):
-        again = recorded_camera(record, scene.similarity).viewmat
-        assert again.dtype == np.float32
-        np.testing.assert_allclose(again, frame.viewmat, atol=4e-6)
-
-
-@pytest.mark.parametrize("world", ["a thousand", "a millionth, far off", "turned and shifted"])
-def test_an_undistorted_data_set_lies_where_its_original_does(world, tmp_path):
-    scene = write_scene(tmp_path / "scene", world)
-    undistort(scene, tmp_path / "out")
-    before, after = load_scene(scene), load_scene(tmp_path / "out")
-    for frame, again in zip(before.frames, after.frames, strict=True):
-        np.testing.assert_allclose(again.viewmat, frame.viewmat, atol=1e-5)
-    there = after.similarity.points_to_world(after.points)
-    np.testing.assert_allclose(there, moved(world, POINTS), atol=1e-5 * WORLDS[world][0])
-
-
 def gaussians_in(world):
     """Gaussians at the origin, and the same in a world that is not turned, with float64 means."""
     here = cloud(40)
@@ -205,15 +165,7 @@ def test_meshes_keep_their_place(world, name, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "record",
-    [
-        {"scale": 1e308, "center": [0, 0, 0]},
-        {"scale": 0, "center": [0, 0, 0]},
-        {"scale": 4.0, "center": [1e300, 0, 0]},
-        {"scale": 1},
-        {"scale": 1, "center": ["x", 0, 0]},
-        [],
-    ],
+    "record", [{"scale": 0, "center": [0, 0, 0]}, {"scale": 4.0, "center": [1e300, 0, 0]}, {"scale": 1}]
 )
 def test_a_similarity_that_no_scene_has_is_refused(record, tmp_path):
     json_files.write(tmp_path / "manifest.json", {"similarity": record})
