@@ -6,15 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.settings import Density, Phase, Rates, Schedule, Settings
-from gsjax.training import buffers, loop
+from gsjax.settings import Density, Rates
+from gsjax.training import buffers
 from gsjax.training.buffers import bucket, lengthen, shorten, with_room_to_densify
 from gsjax.training.densification.error_driven import ErrorStatistics
 from gsjax.training.densification.gradient_driven import GradientStatistics
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import from_points
 from gsjax.training.optimizers import apply_gradients, make_optimizer
-from gsjax.training.plan import plan
 from gsjax.training.state import count_alive, densify, initial_state, remove
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
@@ -60,12 +59,11 @@ def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
     assert lengthen(state, OPTIMIZER, SHORT) is state
 
 
-@pytest.mark.parametrize("rule", DENSIFICATION_RULES)
-def test_a_shortened_state_has_the_living_in_their_order_with_all_that_is_theirs(monkeypatch, rule):
+def test_a_shortened_state_has_the_living_in_their_order_with_all_that_is_theirs(monkeypatch):
     monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
     monkeypatch.setattr(buffers, "ROUND", 8)
     dead = np.isin(np.arange(LONG), (0, 3, 4, 11, 19))
-    state = remove(lengthen(trained(SHORT, rule), OPTIMIZER, LONG), jnp.asarray(dead), optimizer=OPTIMIZER)
+    state = remove(lengthen(trained(SHORT, "error"), OPTIMIZER, LONG), jnp.asarray(dead), optimizer=OPTIMIZER)
     shortened = shorten(state, OPTIMIZER, LONG)
     assert shortened.gaussians.num_gaussians == 16
     living = np.flatnonzero(~dead & (np.arange(LONG) < ALIVE))
@@ -102,12 +100,3 @@ def test_rows_are_added_only_when_they_are_wanted_and_allowed():
     for most in (SHORT, LONG):
         eager = with_room_to_densify(state, OPTIMIZER, Density(gradient=0.0), most, rule=rule)
         assert eager.gaussians.num_gaussians == most
-
-
-@pytest.mark.parametrize(("stop", "ends"), [(4, [4, 6]), (6, [6]), (20, [6])])
-def test_densification_ends_at_its_stop_and_with_the_last_phase_that_has_it(stop, ends):
-    phases = Phase("coarse", 3, density_control=True), Phase("vanilla", 3, density_control=True), Phase("surface", 5)
-    for steps, expected in ((phases, ends), (phases[:2], [step for step in ends if step < 6])):
-        planned = plan(Settings(schedule=Schedule(phases=steps), density=Density(start=1, stop=stop, every=2)))
-        every = [(phase, step) for phase in planned.phases for step in range(phase.begin + 1, phase.end + 1)]
-        assert [step for phase, step in every if loop._ends_densification(planned, phase, step)] == expected

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from itertools import pairwise
 
 import jax
@@ -8,7 +7,7 @@ from small_scenes import cloud
 from tolerances import assert_close
 
 from gsjax.settings import MEANS_FINAL, Rates
-from gsjax.training.optimizers import apply_gradients, make_optimizer, rearrange_moments
+from gsjax.training.optimizers import apply_gradients, make_optimizer
 
 EXTENT, STEPS = 2.5, 9
 SCENE = cloud(6)
@@ -57,19 +56,3 @@ def test_the_other_rates_fall_in_the_last_third_where_they_are_asked_to():
     ]
     share = 0.1 ** (np.clip(np.arange(12) - 6, 0, 3) / 3)
     np.testing.assert_allclose(moved, share[:, None] * [Rates().scales, Rates().sh_dc], rtol=0.02)
-
-
-def test_gaussians_of_any_pixel_filter_are_trained_alike():
-    optimizer, order = make_optimizer(Rates(), EXTENT, STEPS), jnp.arange(6, dtype=jnp.int32)[::-1]
-
-    @jax.jit
-    def trained(scene, gradients):
-        scene, state = apply_gradients(optimizer, scene, optimizer.init(scene), gradients, jnp.bool_(False))
-        return scene, rearrange_moments(optimizer, state, order, jnp.zeros(6, bool))
-
-    classic, mip = (
-        jax.tree.leaves(trained(replace(SCENE, pixel_filter=name), replace(SIGNS, pixel_filter=name)))
-        for name in ("classic", "mip")
-    )
-    for a, b in zip(classic, mip, strict=True):
-        np.testing.assert_array_equal(a, b)
