@@ -215,11 +215,6 @@ def test_the_same_picture_is_drawn_from_the_mesh_and_from_the_file():
     assert_close(covariances(bound), np.einsum("gik,gjk->gij", rebuilt, rebuilt))
 
 
-def test_what_cannot_be_drawn_says_so():
-    with pytest.raises(TypeError, match="draw a dict"):
-        rendering.drawable({})
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -84,13 +84,6 @@ def test_every_gaussian_may_have_an_sh_degree_of_its_own():
     np.testing.assert_array_equal(colors(scene, CAMERA, degrees), jnp.where(degrees[:, None] > 0, full, flat))
 
 
-def test_without_free_gaussians_they_are_those_of_the_mesh():
-    bound = bound_at()
-    nobody = with_free(bound, take(FREE["some"], slice(0)))
-    assert nobody.free is None and nobody.num_gaussians == bound.num_gaussians
-    jax.tree.map(np.testing.assert_array_equal, all_gaussians(nobody), to_gaussians(bound))
-
-
 @pytest.mark.parametrize("degree", [0, 3])
 def test_free_gaussians_take_on_the_harmonics_and_the_filter_of_the_bound_ones(degree):
     original = cloud(3, sh_degree=degree)

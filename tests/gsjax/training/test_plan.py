@@ -81,7 +81,8 @@ def test_everything_comes_after_as_many_photos_and_rates_grow_with_the_root():
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_every_preset_may_be_taken_in_larger_steps(preset, views=64):
+def test_every_preset_may_be_taken_in_larger_steps(preset):
+    views = 64
     settings = config.parse(Settings, config.merge(PRESETS[preset], {"schedule": {"views_per_step": views}}))
     larger = plan(settings)
     assert settings.schedule.steps <= views * larger.steps < settings.schedule.steps + views * len(larger.phases)
