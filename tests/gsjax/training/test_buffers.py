@@ -53,12 +53,6 @@ def test_buckets_are_halves_of_the_budget(monkeypatch):
     assert bucket(3, 5) == 5, "a budget under the smallest bucket is the buffer"
 
 
-def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
-    assert_identical(lengthen(trained(SHORT), OPTIMIZER, LONG), trained(LONG))
-    state = trained(LONG)
-    assert lengthen(state, OPTIMIZER, SHORT) is state
-
-
 def test_a_shortened_state_has_the_living_in_their_order_with_all_that_is_theirs(monkeypatch):
     monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
     monkeypatch.setattr(buffers, "ROUND", 8)

@@ -94,12 +94,6 @@ def test_far_points_lie_beyond_cameras_and_cloud_where_a_photo_looks():
     assert inside.all()
 
 
-def test_a_few_far_points_or_none_are_no_trouble():
-    for count in (0, 2, 3):
-        far = far_points(POINTS[:1], photos_from((2.0, 0.0, 0.0)), count)
-        assert far.shape[1:] == (3,) and len(far) <= count and np.isfinite(far).all()
-
-
 @pytest.mark.parametrize("matte", [None, np.full((24, 32), 255, np.uint8)])
 def test_training_starts_with_far_points_within_its_budget_unless_photos_have_mattes(matte):
     frames = photos_from((9.0, 0.5, 0.0), (0.0, 1.0, -7.0), matte=matte)

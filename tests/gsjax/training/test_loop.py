@@ -9,7 +9,6 @@ from small_scenes import camera_at, cloud, photographed
 
 from gsjax.errors import InputError
 from gsjax.gaussians import opacities, take
-from gsjax.scene import with_pixels
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import buffers, loop
 from gsjax.training.densification import gradient_driven
@@ -17,7 +16,6 @@ from gsjax.training.densification.gradient_driven import is_alive
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
-from gsjax.training.plan import plan
 from gsjax.training.state import count_alive, initial_state
 
 PLAIN = Weights(dssim=0.0)
@@ -121,28 +119,6 @@ def test_after_a_cull_a_run_goes_on_in_shorter_buffers_to_the_same_bits(whole, f
     assert_identical(short.final.gaussians, take(whole.final.gaussians, np.asarray(is_alive(whole.final.gaussians))))
 
 
-@pytest.mark.parametrize(
-    ("background", "settings", "expected"),
-    [
-        # At 2, 4, 5, 6 and 8: what was fitted to the white goes once more, before anything grows.
-        ("white", {}, ["reset", (4, False), "reset", (6, True), (8, True)]),
-        ("black", {}, [(4, False), "reset", (6, True), (8, True)]),
-        # Without resets, of any kind: past a fifth of the steps.
-        ("white", {"reset_every": 0}, [(4, True), (6, True), (8, True)]),
-    ],
-)
-def test_gaussians_grow_are_reset_and_pruned_by_size_when_due(monkeypatch, background, settings, expected):
-    calls = []
-    monkeypatch.setattr(loop, "densify", lambda state, key, extent, large, **_: calls.append((int(state), bool(large))))
-    monkeypatch.setattr(loop, "reset_opacities", lambda state, **_: calls.append("reset"))
-    monkeypatch.setattr(loop.buffers, "with_room_to_densify", lambda state, *_, **how: state)
-    density = Density(**{"start": 2, "stop": 9, "every": 2, "reset_every": 5} | settings)
-    work = loop.Work(plan(SETTINGS.replace(density=density, model={"background": background})), (), EXTENT, OPTIMIZER)
-    for step in range(1, 12):
-        loop._densify_when_due(work, DENSIFICATION_RULES["adc"], step, step, jax.random.key(0))
-    assert calls == expected
-
-
 @pytest.mark.parametrize("done", [3, 6])
 def test_a_run_continued_from_a_copy_ends_with_the_same_bits(frames, whole, done):
     """From the middle of the first phase, in a buffer that is too short, and from its end."""
@@ -167,14 +143,6 @@ def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_th
     rarely = always[0] | {"sdf_normal", "depth_normal"}, (12, 16), "plane"
     every = [always, always, rarely, always, always, rarely, always]
     assert calls == [(step, *each) for step, each in enumerate(every)][first_step:]
-
-
-def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):
-    calls = recorded_steps(monkeypatch)
-    settings = SETTINGS.replace(schedule={"phases": (Phase("plain", 1, PLAIN),)}, model={"depth_mode": "center"})
-    for photos in (frames, tuple(with_pixels(f, f.pixels()._replace(matte=None)) for f in frames)):
-        fitted(photos, settings, capacity=64)
-    assert calls == [(0, {"l1", "alpha"}, (24, 32), "center"), (0, {"l1"}, (24, 32), "center")]
 
 
 def recorded_steps(monkeypatch):

@@ -1,15 +1,12 @@
-"""Meshes of other programs: their colours, indices and missing parts, and the memory that reading takes."""
-
-import tracemalloc
+"""Meshes of other programs: their colours, indices and missing parts."""
 
 import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.meshing.export import read_mesh
 from gsjax.meshing.files import glb
 from gsjax.scene.colors import srgb_to_linear
-from gsjax.scene.meshes import Mesh
 
 
 def test_colours_of_faces_are_those_of_their_corners(tmp_path):
@@ -136,17 +133,3 @@ def test_colours_of_an_obj_are_shares_or_bytes_and_grey_where_there_are_none(tmp
     mesh = read_mesh(tmp_path / "m.obj")
     np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
     np.testing.assert_array_equal(mesh.colors, [[255, 0, 51], [0, 255, 0], [128, 128, 128]])
-
-
-@pytest.mark.parametrize("name", ["m.ply", "m.glb", "m.obj"])
-def test_reading_takes_few_times_the_memory_of_what_it_returns(tmp_path, name):
-    """4.3 times; what the file says a second time, and copies of parts that stand in their place, made it 9.5."""
-    random = np.random.default_rng(0)
-    colors, faces = random.integers(0, 256, (10_000, 3), np.uint8), random.integers(0, 10_000, (20_000, 3), np.int32)
-    write_mesh(tmp_path / name, Mesh(random.normal(size=(10_000, 3)).astype(np.float32), faces, colors))
-    read_mesh(tmp_path / name)  # Libraries are loaded.
-    tracemalloc.start(1)
-    mesh = read_mesh(tmp_path / name)
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert most < 5 * (mesh.vertices.nbytes + mesh.faces.nbytes + mesh.colors.nbytes)

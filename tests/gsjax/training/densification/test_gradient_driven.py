@@ -163,3 +163,21 @@ def test_accumulated_gradients_are_norms_in_ndc_units_of_the_visible():
     expected = np.where(visible, np.linalg.norm(gradient * [20, 15], axis=1), 0)
     assert_close(statistics.gradient, 2 * expected)
     assert_close(statistics.views, 2.0 * visible)
+
+
+@pytest.mark.parametrize(
+    ("background", "settings", "expected"),
+    [
+        # At 2, 4, 5, 6 and 8: what was fitted to the white goes once more, before anything grows.
+        ("white", {}, ["reset", (4, False), "reset", (6, True), (8, True)]),
+        ("black", {}, [(4, False), "reset", (6, True), (8, True)]),
+        # Without resets, of any kind: past a fifth of the steps.
+        ("white", {"reset_every": 0}, [(4, True), (6, True), (8, True)]),
+    ],
+)
+def test_gaussians_grow_are_reset_and_pruned_by_size_when_due(background, settings, expected):
+    density, calls = Density(**{"start": 2, "stop": 9, "every": 2, "reset_every": 5} | settings), []
+    for step in range(1, 12):
+        calls += [(step, control.prunes_large(density, step))] * control.densifies(density, step)
+        calls += ["reset"] * control.resets_opacities(density, step, background)
+    assert calls == expected

@@ -84,9 +84,3 @@ def test_what_is_wrong_with_a_term_is_one_line_that_names_it(wrong, message):
     with pytest.raises(InputError, match=f"^the loss term 'mine' {message}") as refused:
         check(wrong)
     assert str(refused.value).isprintable()
-
-
-@pytest.mark.parametrize("value", [0.5, None, Weighed("l1", 0.1, TERMS["l1"])])
-def test_what_is_no_function_is_refused_by_its_name(value):
-    with pytest.raises(InputError, match=r"^terms\.mine is .*, expected a function of \(Gaussians, View, Batch\)"):
-        as_terms({"mine": value})
