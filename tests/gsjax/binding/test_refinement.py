@@ -17,7 +17,7 @@ from gsjax.binding.refinement import Refinement, RefinementRates
 from gsjax.errors import InputError
 from gsjax.metrics import geometry
 from gsjax.rendering import gallery
-from gsjax.scene import Pixels, batches, frame_of, with_pixels
+from gsjax.scene import Pixels, batches, frame_of
 from gsjax.scene.meshes import Mesh
 from gsjax.training.step import BACKGROUNDS
 from gsjax.training.stepping import view_order
@@ -163,32 +163,6 @@ def test_the_rates_are_those_of_the_mesh_and_of_training():
     np.testing.assert_allclose(rotations, 1e-3 * 0.1 ** (np.array([0, 0, 0, 0, 0, 1]) / 2), rtol=1e-3)
 
 
-def refined_uncompiled(monkeypatch, scene, data, finite):
-    """Starts a refinement of one step that is not compiled; the weights of each step that is made."""
-    weights_of_steps = []
-
-    def make_refine_step(optimizer, weights, **_):
-        weights_of_steps.append(weights)
-        terms = dict.fromkeys(vars(weights), 1.0)
-        metrics = SimpleNamespace(overflowed=False, finite=finite(weights), needed=1, terms=terms)
-        return lambda graph, state, target, key: (state, metrics)
-
-    monkeypatch.setattr(refinement, "make_refine_step", make_refine_step)
-    state, optimizer = started(scene)
-    how = {"background": BACKGROUNDS["black"], "observe": lambda progress: None, "capacity": CAPACITY}
-    refinement.refine(replace(SETTINGS, steps=1), scene.graph, data, state, optimizer, **how)
-    return weights_of_steps
-
-
-def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
-    solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
-    with_mattes, weights = batches.read_batches(solid), SETTINGS.weights
-    weights_of_runs = [
-        refined_uncompiled(monkeypatch, scene, data, lambda weights: True) for data in (scene.data, with_mattes)
-    ]
-    assert weights_of_runs == [[replace(weights, alpha=0.0)], [weights]] and weights.alpha > 0
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
@@ -209,6 +183,17 @@ def test_wrong_settings_are_named(wrong, message):
 
 
 def test_a_term_whose_gradient_is_not_finite_is_named_with_its_step_and_photo(scene, monkeypatch):
+    """In steps that are not compiled: those of all terms and of this one report what is not finite."""
+
+    def make_refine_step(optimizer, weights, **_):
+        metrics = SimpleNamespace(
+            overflowed=False, finite=not weights.dssim, needed=1, terms=dict.fromkeys(vars(weights), 1.0)
+        )
+        return lambda graph, state, target, key: (state, metrics)
+
+    monkeypatch.setattr(refinement, "make_refine_step", make_refine_step)
+    state, optimizer = started(scene)
+    how = {"background": BACKGROUNDS["black"], "observe": lambda progress: None, "capacity": CAPACITY}
     name = scene.frames[view_order(SETTINGS.seed, 0, len(scene.frames))].name
     with pytest.raises(InputError, match=f"^step 1, photo {name}: the gradient of the loss term 'dssim' is not finite"):
-        refined_uncompiled(monkeypatch, scene, scene.data, lambda weights: not weights.dssim)
+        refinement.refine(replace(SETTINGS, steps=1), scene.graph, scene.data, state, optimizer, **how)

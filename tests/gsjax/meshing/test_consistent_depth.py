@@ -82,11 +82,6 @@ def test_a_lump_that_all_show_stays():
         np.testing.assert_array_equal(new.depth[inner], NEARER)
 
 
-def test_views_side_by_side_confirm_nothing():
-    xs = 0.01 * np.arange(5)  # of 4: at most 0.6 degrees
-    assert not any(new.depth.any() for new in agreed(xs, [picture(x) for x in xs]))
-
-
 @pytest.mark.parametrize("counts", [True, False])
 def test_stereo_depth_that_contradicts_the_rendered_one_takes_its_place_or_removes_it(counts):
     """Known at half the size in the left half of the middle view: all others show the wall behind it."""

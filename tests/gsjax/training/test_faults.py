@@ -45,8 +45,7 @@ def test_a_value_that_is_not_finite_stops_at_the_photo_that_has_it(frames):
             terms={"own": Term(of_camera_1, {"depth"})},
             capacity=CAPACITY,
         )
-    line = f"step {faulty_step}, photo {frames[1].name}: the loss term 'own' is -inf;"
-    assert str(stopped.value).startswith(line)
+    assert str(stopped.value).startswith(f"step {faulty_step}, photo {frames[1].name}: the loss term 'own' is -inf;")
     assert [int(state.step) for state in states] == list(range(1, faulty_step))
     for state in states:
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state))

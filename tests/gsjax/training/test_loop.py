@@ -135,29 +135,23 @@ def test_a_run_continued_from_a_copy_ends_with_the_same_bits(frames, whole, done
 def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_the_others_always(
     frames, monkeypatch, first_step
 ):
-    calls = recorded_steps(monkeypatch)
-    weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, depth_normal=0.3)
-    settings = SETTINGS.replace(schedule={"phases": (Phase("surface", 7, weights, surface_every=3, surface_scale=2),)})
-    fitted(frames, settings, state=replace(start(), step=np.int32(first_step)), capacity=64)
-    always = {"l1", "alpha", "entropy"}, (24, 32), "plane"
-    rarely = always[0] | {"sdf_normal", "depth_normal"}, (12, 16), "plane"
-    every = [always, always, rarely, always, always, rarely, always]
-    assert calls == [(step, *each) for step, each in enumerate(every)][first_step:]
-
-
-def recorded_steps(monkeypatch):
-    """The list of (step, terms, photo's size, depth) of all steps from here on, which do nothing else."""
     calls = []
 
-    def make_train_step(optimizer, terms, *, depth_mode, **_):
+    def make_train_step(optimizer, terms, **_):
         def step(state, target, key):
-            calls.append((int(state.step), {each.name for each in terms}, target.image.shape[:2], depth_mode))
+            calls.append((int(state.step), {each.name for each in terms}, target.image.shape[:2]))
             return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False, finite=True, needed=1)
 
         return step
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
-    return calls
+    weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, depth_normal=0.3)
+    settings = SETTINGS.replace(schedule={"phases": (Phase("surface", 7, weights, surface_every=3, surface_scale=2),)})
+    fitted(frames, settings, state=replace(start(), step=np.int32(first_step)), capacity=64)
+    always = {"l1", "alpha", "entropy"}, (24, 32)
+    rarely = always[0] | {"sdf_normal", "depth_normal"}, (12, 16)
+    every = [always, always, rarely, always, always, rarely, always]
+    assert calls == [(step, *each) for step, each in enumerate(every)][first_step:]
 
 
 @pytest.mark.parametrize(

@@ -52,14 +52,6 @@ def test_a_sky_adds_its_term_to_every_step_and_without_one_it_is_nowhere():
         plan(SETTINGS.replace(schedule={"phases": (Phase("surface", 10, Weights(sky=0.2)),)}))
 
 
-def test_every_step_leaves_out_the_share_that_was_asked_for_and_its_record_says_so():
-    planned = plan(SETTINGS.replace(schedule={"dropout": 0.4}))
-    assert [phase.dropout for phase in planned.phases] == [0.4, 0.4]
-    assert [phase["dropout"] for phase in planned.record()["phases"]] == [0.4, 0.4]
-    assert [phase.dropout for phase in plan(SETTINGS).phases] == [0.0, 0.0]
-    assert not any("dropout" in phase for phase in plan(SETTINGS).record()["phases"])
-
-
 def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
     plain = plan(SETTINGS.replace(schedule={"vanilla": True}, model={"stereo_points": 100}))
     assert plain.stereo_points == 0

@@ -92,16 +92,11 @@ def test_one_compilation_serves_all_views_steps_and_bands_whatever_happens_to_th
     state = start()
     kinds = jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), state)
     state, _ = run(setup, state, 1)
-    how = {
-        "optimizer": OPTIMIZER,
-        "budget": CAPACITY,
-        "rule": DENSIFICATION_RULES["adc"],
-        "density": Density(gradient=0),
-    }
+    how = {"optimizer": OPTIMIZER, "budget": CAPACITY, "rule": DENSIFICATION_RULES["adc"]}
     for change in (
         partial(reset_opacities, optimizer=OPTIMIZER, limit=0.01),
         partial(cull, optimizer=OPTIMIZER, min_opacity=0.001),
-        lambda state: densify(state, KEY, jnp.float32(2.0), jnp.asarray(False), **how),
+        lambda state: densify(state, KEY, jnp.float32(2.0), jnp.asarray(False), density=Density(gradient=0), **how),
     ):
         before, state = state, change(state)
         assert before.gaussians.means.is_deleted(), "it takes the arrays of the state before"

@@ -238,12 +238,6 @@ def test_a_glb_names_the_colours_that_it_does_not_give(tmp_path, capsys, change,
     assert capsys.readouterr().err.count(line) == 1
 
 
-@pytest.mark.parametrize("write", [obj, glb])
-def test_textures_over_pillows_limit_are_read(tmp_path, monkeypatch, write):
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 20)
-    assert_four_colors(write(tmp_path))
-
-
 @pytest.mark.parametrize("corners", [FACES, QUADS])
 def test_a_ply_shows_its_texture(tmp_path, capsys, corners):
     """As MeshLab writes it, with places of the texture in the rows of the faces."""

@@ -238,15 +238,13 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
     )
 
 
-def test_watching_changes_nothing_else_and_views_add_up(setup):
-    target, other = setup.data.views
+def test_watching_changes_nothing_else(setup):
+    target = setup.data.views[0]
     watched, reported = setup.seeing(setup.start(), target, KEY)
     unwatched, expected = setup.step(None)(setup.start(), target, KEY)
     assert float(reported.loss) == pytest.approx(float(expected.loss), rel=1e-6)
     assert_close(watched.gaussians.means, unwatched.gaussians.means)
     assert_close(watched.gaussians.logit_opacities, unwatched.gaussians.logit_opacities)
     assert not np.any(unwatched.statistics.error)
-    both, _ = setup.seeing(watched, other, KEY)
-    sums = jax.tree.map(np.asarray, both.statistics)
-    assert set(np.unique(sums.views)) <= {0, 1, 2} and (sums.views[:ALIVE] == 2).mean() > 0.5
+    sums = jax.tree.map(np.asarray, watched.statistics)
     assert not any(x[ALIVE:].any() for x in (sums.error, sums.weight, sums.views)), "dead rows have no part"
