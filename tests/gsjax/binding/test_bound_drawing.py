@@ -5,29 +5,30 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from meshes import mesh_of
+import pytest
 from small_scenes import camera_at
 
 from gsjax import rendering
-from gsjax.binding.bound import bind
+from gsjax.binding.bound import BoundGaussians, bind
 from gsjax.rendering import gallery
 from gsjax.scene import cameras
 from gsjax.scene.cameras import Camera, look_at
 from gsjax.scene.meshes import Mesh
 
-EDGE, VERTICES_A_SIDE = 0.03, 50
+WAVE, EDGE, VERTICES_A_SIDE = 0.3, 0.03, 50  # of the stripes, of a triangle
 ELEVATION = np.radians(38)
 
 
-def ground() -> Mesh:
-    """A plane, its vertices a little out of their grid."""
-    rng, n = np.random.default_rng(0), VERTICES_A_SIDE
+def painted_plane(seed=0) -> Mesh:
+    """A ground plane in stripes along x, its vertices a little out of their grid."""
+    rng, n = np.random.default_rng(seed), VERTICES_A_SIDE
     x, y = (axis.ravel() for axis in np.meshgrid(*[(np.arange(n) - n / 2) * EDGE] * 2))
     shift = rng.uniform(-0.3, 0.3, (2, n * n)) * EDGE
     vertices = np.stack([x + shift[0], y + shift[1], 0 * x], axis=-1).astype(np.float32)
     corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
     faces = np.concatenate([np.stack([corner + k for k in ks], axis=-1) for ks in ((0, 1, n + 1), (0, n + 1, n))])
-    return mesh_of(vertices, faces)
+    shade = 127.5 + 100 * np.sin(2 * np.pi * vertices[:, 1:2] / WAVE)
+    return Mesh(vertices, faces.astype(np.int32), np.rint(np.repeat(shade, 3, axis=1)).astype(np.uint8))
 
 
 def camera_and_eye() -> tuple[Camera, np.ndarray]:
@@ -37,9 +38,34 @@ def camera_and_eye() -> tuple[Camera, np.ndarray]:
     return Camera(jnp.asarray(look_at(eye, np.zeros(3), np.array([0.0, 0, 1]))), jnp.asarray(K), 96, 96), eye
 
 
+def seeming_height(bound: BoundGaussians) -> float:
+    """How far over the plane the stripes seem to lie: their shift away from the camera, read as parallax."""
+    camera, eye = camera_and_eye()
+    rays = np.asarray(cameras.pixel_rays(camera)).reshape(-1, 3) @ np.asarray(camera.viewmat)[:3, :3]
+    points = eye - rays * (eye[2] / rays[:, 2:])
+    inner = np.all(np.abs(points[:, :2]) < 0.45, axis=1)
+    picture = next(gallery.pictures(bound, [camera], np.zeros(3)))
+    phase = 2 * np.pi * points[inner, 1] / WAVE
+    waves = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=-1)
+    sine, cosine, _ = np.linalg.lstsq(waves, picture.colors[..., 0].ravel()[inner], rcond=None)[0]
+    moved = -np.arctan2(cosine, sine) / (2 * np.pi) * WAVE
+    return -moved * np.tan(ELEVATION)
+
+
+@pytest.mark.long  # `tests/gsjax/rendering/test_render.py` has the filter itself.
+def test_the_mip_filter_halves_the_false_height_of_a_painted_plane():
+    # Discs are blended in the order of their centres, so each covers the near part of the one behind it; the wider
+    # they are drawn, the more.
+    start = bind(painted_plane(), per_triangle=1, thickness=3e-6, sh_degree=0, opacity=0.93)
+    wider = replace(start, log_scales=start.log_scales + np.float32(np.log(1.3)))
+    classic, mip = (seeming_height(replace(wider, pixel_filter=name)) for name in ("classic", "mip"))
+    assert 0.6 * 0.011 < classic < 0.011  # most of a pixel
+    assert 0 < mip < 0.6 * classic
+
+
 def test_the_far_side_is_in_the_mean_depth_of_discs_and_not_in_that_of_those_in_front():
     """A ground over another one, discs narrower than their triangles and not opaque: a hollow thing's two sides."""
-    near = ground()
+    near = painted_plane()
     far = Mesh(near.vertices - np.float32([0, 0, 0.5]), near.faces + len(near.vertices), near.colors)
     parts = ("vertices", "faces", "colors")
     both = Mesh(*(np.concatenate([getattr(near, part), getattr(far, part)]) for part in parts))

@@ -39,12 +39,6 @@ def test_crossing_of_one_gaussian_in_closed_form(level, off_peak):
     np.testing.assert_allclose(normal, [0, 0, -1], atol=1e-5)
 
 
-def test_a_disc_thinner_than_the_step_is_met_from_the_near_side():
-    point, normal, crossed = march(kernel((1.0, 1.0, 0.01), 0.9), (0, 0, 0.02), (1, 0, 1))
-    assert bool(crossed) and float(normal[2]) < -0.99
-    assert float(point[2]) == pytest.approx(-0.01 * np.sqrt(2 * np.log(3)), abs=5e-4)
-
-
 def test_oblique_ray_ends_on_the_level_with_the_gradients_normal():
     field = kernel((1.0, 0.5, 0.2), 0.9)
     point, normal, crossed = march(field, (0.1, 0.2, 0.05), (1, 1, 2))

@@ -185,6 +185,12 @@ def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bit
 
     run = fitted(frames, settings, start())
     assert [int(count_alive(s.gaussians)) for s in run.states] == [ALIVE, *[CAPACITY] * 5]
+    key = jax.random.fold_in(jax.random.fold_in(jax.random.key(SETTINGS.seed), 0), 3)
+    stays = np.asarray(jax.random.uniform(key, (CAPACITY,), jnp.float32) >= 0.3)[:ALIVE]
+    moved = np.any(run.states[0].gaussians.means != np.asarray(start().gaussians.means), axis=1)[:ALIVE]
+    views = run.states[0].statistics.views[:ALIVE]
+    assert not moved[~stays].any() and not views[~stays].any(), "a step learns of those that it draws alone"
+    assert moved[stays].mean() > 0.5
     for before, after in zip(run.states[2:4], run.states[3:5], strict=True):
         moved = np.abs(after.gaussians.means - before.gaussians.means).max(1) > 0.02  # A step is under 2e-4.
         assert moved.any() == (int(after.step) == 4), "a full budget goes on moving"

@@ -150,18 +150,6 @@ def test_living_rows_move_and_gather_statistics_and_dead_rows_stay_as_they_are(s
     assert np.all((statistics.gradient > 0) <= (statistics.views > 0))
 
 
-def test_a_step_learns_of_those_that_it_draws_alone(setup):
-    step = step_with(dropout=0.5)
-    stays = jax.random.uniform(jax.random.fold_in(jax.random.fold_in(KEY, 0), 3), (CAPACITY,), jnp.float32) >= 0.5
-    before = start().gaussians
-    state, _ = step(start(), setup.data.views[0], KEY)
-    moved = np.abs(np.asarray(state.gaussians.means) - np.asarray(before.means)).max(1) > 0
-    views = np.asarray(state.statistics.views)
-    assert not moved[~stays].any() and not views[~stays].any()
-    is_drawn = np.asarray(stays)[:ALIVE]
-    assert moved[:ALIVE][is_drawn].mean() > 0.9 and (views[:ALIVE][is_drawn] == 1).mean() > 0.9
-
-
 def test_what_shows_in_the_padding_alone_is_not_seen_in_the_photo():
     """A photo of 30x20 in a set whose largest is 50x40: splats of half width 4 and half height 2."""
     means = np.array([[10.0, 10.0], [33.9, 10.0], [34.1, 10.0], [10.0, 21.9], [10.0, 22.1], [40.0, 30.0], [10.0, 10.0]])

@@ -47,10 +47,11 @@ def test_l1_and_alpha_are_means_over_valid_pixels(x64):
     assert_close(gradient, np.sign(ALPHAS - MATTE) * VALID / VALID.sum())
 
 
-def test_dssim_is_one_minus_ssim(x64):
+def test_dssim_is_one_minus_ssim_and_differentiable(x64):
     expected = 1 - jax.jit(ssim)(jnp.asarray(IMAGE), jnp.asarray(TARGET), jnp.asarray(VALID))
     dssim = jax.jit(lambda colors: losses.dssim(None, view_of(colors), batch_of()))
     assert_close(dssim(jnp.asarray(IMAGE)), expected)
+    check_grads(dssim, (jnp.asarray(IMAGE),), order=1, modes=["rev"])
 
 
 def test_photos_without_a_valid_pixel_ask_for_nothing():
