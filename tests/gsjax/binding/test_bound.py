@@ -213,25 +213,3 @@ def test_the_same_picture_is_drawn_from_the_mesh_and_from_the_file():
     assert_close(render_bound(bound).colors, render_bound(gaussians).colors)
     rebuilt = free_gaussians.rotation_matrices(gaussians.quats) * free_gaussians.scales(gaussians)[:, None]
     assert_close(covariances(bound), np.einsum("gik,gjk->gij", rebuilt, rebuilt))
-
-
-def test_what_cannot_be_drawn_says_so():
-    with pytest.raises(TypeError, match="draw a dict"):
-        rendering.drawable({})
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"per_triangle": 2}, "per_triangle=2 is none of 1, 3, 4, 6"),
-        ({"thickness": 0.0}, "thickness=0.0 must be above 0"),
-        ({"opacity": 1.0}, "opacity=1.0 between 0 and 1"),
-    ],
-)
-def test_wrong_options_of_bind_are_named(options, message):
-    with pytest.raises(ValueError, match=message):
-        bind(crumpled(), **{"per_triangle": 1, "thickness": 1.0, **options})
-    with pytest.raises(ValueError, match="without triangles"):
-        bind(mesh_of(TRIANGLE, np.zeros((0, 3))), per_triangle=1, thickness=1.0)
-    with pytest.raises(ValueError, match="without faces"):
-        bound_gaussians.means(replace(trained(crumpled()), faces=None))

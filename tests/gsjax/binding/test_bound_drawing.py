@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from small_scenes import camera_at
 
 from gsjax import rendering
@@ -51,6 +52,7 @@ def seeming_height(bound: BoundGaussians) -> float:
     return -moved * np.tan(ELEVATION)
 
 
+@pytest.mark.long  # `tests/gsjax/rendering/test_render.py` has the filter itself.
 def test_the_mip_filter_halves_the_false_height_of_a_painted_plane():
     # Discs are blended in the order of their centres, so each covers the near part of the one behind it; the wider
     # they are drawn, the more.

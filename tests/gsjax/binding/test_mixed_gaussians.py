@@ -84,24 +84,6 @@ def test_every_gaussian_may_have_an_sh_degree_of_its_own():
     np.testing.assert_array_equal(colors(scene, CAMERA, degrees), jnp.where(degrees[:, None] > 0, full, flat))
 
 
-def test_without_free_gaussians_they_are_those_of_the_mesh():
-    bound = bound_at()
-    nobody = with_free(bound, take(FREE["some"], slice(0)))
-    assert nobody.free is None and nobody.num_gaussians == bound.num_gaussians
-    jax.tree.map(np.testing.assert_array_equal, all_gaussians(nobody), to_gaussians(bound))
-
-
-@pytest.mark.parametrize("degree", [0, 3])
-def test_free_gaussians_take_on_the_harmonics_and_the_filter_of_the_bound_ones(degree):
-    original = cloud(3, sh_degree=degree)
-    free = with_free(bound_at(), original).free
-    assert free.pixel_filter == "mip" and original.pixel_filter == "classic"
-    num_common = min(free.sh_rest.shape[1], original.sh_rest.shape[1])
-    assert free.sh_rest.shape == (3, 3, 3)
-    np.testing.assert_array_equal(free.sh_rest[:, :num_common], original.sh_rest[:, :num_common])
-    assert not np.any(free.sh_rest[:, num_common:])
-
-
 def test_mesh_and_gaussians_as_they_are_written_are_the_scene_again_and_can_be_edited():
     before = with_free(bound_at(), on_a_triangle())
     mesh = to_mesh(before.bound)

@@ -93,7 +93,7 @@ def test_texels_are_those_that_a_triangle_covers_and_show_its_points(mesh, laid_
     assert np.abs(colors - texels.colors).max() < 0.6
 
 
-@pytest.mark.parametrize(("layout", "size"), [(charts, SIZE), (cells, 26 * 4), (cells, 26 * 7 + 3)])
+@pytest.mark.parametrize(("layout", "size"), [(charts, SIZE), (cells, 26 * 7 + 3)])
 def test_bilinear_sampling_at_borders_reads_the_inner_colour_alone(mesh, layout, size):
     atlas = layout(mesh, size)
     texels = texels_of(mesh, atlas)
@@ -134,8 +134,8 @@ def test_triangles_without_area_lie_on_a_painted_point(mesh):
 
 @pytest.mark.parametrize(
     "program",
-    [f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "raise ImportError('xatlas')", "pass"],
-    ids=["crash", "missing", "nothing written"],
+    [f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "pass"],
+    ids=["crash", "nothing written"],
 )
 def test_where_xatlas_fails_there_are_cells(mesh, monkeypatch, tmp_path, program):
     (tmp_path / "xatlas_process.py").write_text(program)

@@ -38,19 +38,3 @@ def test_the_surface_stays_where_it_was_with_smaller_triangles_where_weights_are
     assert near < far / 8
     # As even as halves allow: by a factor of two, and by neighbours that are halved along.
     assert weights_at(halved, place).max() < 4 * np.sort(weights_at(halved, place))[-halved.num_faces // 3]
-
-
-def test_an_open_border_keeps_its_length_and_colours_are_means():
-    square = Mesh(
-        np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32),
-        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
-        np.array([[0, 0, 0], [200, 0, 0], [100, 0, 0], [0, 0, 0]], np.uint8),
-    )
-    once = bisect_triangles(square, np.array([1.0, 0.0]), 4)
-    assert once.num_faces == 4  # The diagonal is the longest edge of both.
-    np.testing.assert_allclose(once.vertices[4], [0.5, 0.5, 0])
-    np.testing.assert_array_equal(once.colors[4], [50, 0, 0])
-    many = bisect_triangles(square, np.array([1.0, 0.1]), 101)
-    assert 100 <= many.num_faces <= 101
-    assert topology(many).boundary_length == pytest.approx(4, rel=1e-6)
-    assert areas(many).sum() == pytest.approx(1, rel=1e-6)

@@ -10,13 +10,6 @@ def test_a_tetrahedron_is_closed_and_faces_outwards():
     report = topology(tetrahedron())
     assert (report.components, report.boundary_loops, report.boundary_length, report.largest_hole) == (1, 0, 0, 0)
     assert report.watertight and report.oriented and not report.inside_out
-    table = edge_table(tetrahedron().faces)
-    assert table.pairs.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
-    assert table.faces.tolist() == [2] * 6
-    np.testing.assert_array_equal(table.of_face[0], [1, 3, 0])
-
-
-def test_inside_out_and_one_turned_face():
     mesh = tetrahedron()
     turned = topology(Mesh(mesh.vertices, mesh.faces[:, ::-1].copy(), mesh.colors))
     assert turned.inside_out and turned.oriented

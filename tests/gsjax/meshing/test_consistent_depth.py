@@ -7,11 +7,7 @@ from gsjax.meshing.consistent_depth import (
     AGREEING,
     SAME_AS_STEREO,
     consistent_pictures,
-    of_consistent_depth,
 )
-from gsjax.meshing.extract import extract_mesh
-from gsjax.meshing.tsdf import tsdf
-from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.rendering.coarse_depths import coarse_depth
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
@@ -66,12 +62,11 @@ def test_depth_that_two_others_show_stays_as_it_is_and_what_fewer_see_goes():
         np.testing.assert_array_equal(new.alphas, old.alphas)
 
 
-@pytest.mark.parametrize("showing", [1, 3])
-def test_a_lump_that_others_look_through_goes(showing):
+def test_a_lump_that_others_look_through_goes():
     """Three of five views that show it are half of the four others: too few."""
-    pictures = [picture(x, lump=index < showing) for index, x in enumerate(XS)]
+    pictures = [picture(x, lump=index < 3) for index, x in enumerate(XS)]
     results = agreed(XS, pictures)
-    for x, old, new in zip(XS[:showing], pictures, results, strict=False):
+    for x, old, new in zip(XS[:3], pictures, results, strict=False):
         assert old.depth[in_lump(x)].max() == NEARER
         assert not new.depth[in_lump(x)].any()
     middle = places(0.0, WALL)[0]
@@ -85,11 +80,6 @@ def test_a_lump_that_all_show_stays():
         inner = in_lump(x) & in_lump(x + 2.0 * NEARER / FOCAL) & in_lump(x - 2.0 * NEARER / FOCAL)
         assert inner.any()
         np.testing.assert_array_equal(new.depth[inner], NEARER)
-
-
-def test_views_side_by_side_confirm_nothing():
-    xs = 0.01 * np.arange(5)  # of 4: at most 0.6 degrees
-    assert not any(new.depth.any() for new in agreed(xs, [picture(x) for x in xs]))
 
 
 @pytest.mark.parametrize("counts", [True, False])
@@ -112,14 +102,3 @@ def test_stereo_depth_confirms_what_no_other_view_shows(off, stays):
     rendered = rendered._replace(depth=rendered.depth * np.float32(1 + off * SAME_AS_STEREO))
     (result,) = agreed(XS[:1], [rendered], {0: stereo})
     np.testing.assert_array_equal(result.depth, rendered.depth if stays else 0)
-
-
-def test_the_mesh_of_a_ball_is_a_ball(ball):
-    cameras, pictures = ball.views
-    coarse_views = list(map(coarse_depth, cameras, pictures))
-    fusion = tsdf(smoothed_depth_normals, voxel=0.06)
-    method = of_consistent_depth(fusion, rendered=coarse_views, stereo={}, stereo_counts=False)
-    mesh, report = extract_mesh(ball.gaussians, cameras, pictures, method=method)
-    assert np.quantile(np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1), 0.99) < 0.05
-    assert report["seen"]["photos_that_tell"] == 0
-    assert 0 < report["seen"]["agreed_share"] < np.mean([(p.depth > 0).mean() for p in pictures])

@@ -1,6 +1,3 @@
-from dataclasses import replace
-
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -11,7 +8,6 @@ from gsjax.meshing.level_set import LevelSetOptions, level_set_poisson
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.regions import Box, Region
-from gsjax.rendering import gallery
 from gsjax.scene.meshes import Mesh, face_normals, signed_volume
 
 
@@ -37,15 +33,6 @@ def test_ball_becomes_one_closed_outward_sphere_and_an_empty_region_is_said(ball
     assert np.mean(np.sum(face_normals(mesh) * outward, axis=-1) > 0.8) > 0.99
 
 
-def test_ball_on_ground_renders_to_the_depth_it_came_from(ball_on_ground):
-    mesh, _ = extract_mesh(ball_on_ground.gaussians, *ball_on_ground.views, method=through(8_000, depth=6))
-    camera, depth = ball_on_ground.cameras[0], ball_on_ground.depths[0]
-    mesh_depth = depth_of_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height)
-    both = (mesh_depth > 0) & (depth > 0)
-    assert both.sum() > 0.85 * (depth > 0).sum()
-    assert np.median(np.abs(mesh_depth - depth)[both]) < 0.02
-
-
 def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
     near, far = Box((-2, -2, 0), (2, 2, 2)), Box((-2, -2, -2), (2, 2, 2))
     mesh, report = extract_mesh(
@@ -69,23 +56,6 @@ def test_the_border_belongs_to_both_sides_of_a_cut():
     inner, outer = Box((-1, -1, -1), (1.2, 2, 1)), Box((-9, -9, -9), (9, 9, 9))
     np.testing.assert_array_equal(cut_to_region(mesh, Region(inner)).faces, faces[:2])
     np.testing.assert_array_equal(cut_to_region(mesh, Region(outer, without=inner)).faces, faces[1:3])
-
-
-def test_without_pictures_it_draws_what_the_method_looks_at(ball):
-    looked_at = []
-
-    def method(gaussians, cameras, pictures):
-        looked_at.extend(pictures)
-        raise InputError("seen")
-
-    view_dependent = replace(ball.gaussians, sh_rest=jnp.full((len(ball.gaussians.means), 3, 3), 0.3))
-    with pytest.raises(InputError, match="seen"):
-        extract_mesh(view_dependent, ball.cameras[:2], method=method)
-    plain = replace(view_dependent, sh_rest=jnp.zeros_like(view_dependent.sh_rest))
-    expected = gallery.pictures(plain, ball.cameras[:2], np.zeros(3), with_owners=True)
-    for picture, same in zip(looked_at, expected, strict=True):
-        for part, expected_part in zip(picture, same, strict=True):
-            np.testing.assert_array_equal(part, expected_part)
 
 
 def test_pictures_without_owners_and_no_camera_are_one_line(ball):

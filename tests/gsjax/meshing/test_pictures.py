@@ -34,15 +34,6 @@ def covered(z, half=0.49):
     return (np.abs(x) < half) & (np.abs(y) < half)
 
 
-def test_colours_are_interpolated_between_vertices():
-    mesh = square(2.0)
-    ramp = Mesh(mesh.vertices, mesh.faces, np.uint8([[0, 0, 0], [200, 0, 0], [0, 0, 0], [200, 0, 0]]))
-    picture = render_mesh(ramp, np.eye(4), K, WIDTH, HEIGHT)
-    columns = np.flatnonzero(covered(2.0).any(axis=0))
-    expected = ((columns + 0.5 - 17) / 40 * 2.0 + 0.49) / 0.98 * 200
-    np.testing.assert_allclose(picture[14, columns, 0], expected, atol=1)
-
-
 def test_a_square_covers_its_pixels_at_its_depth_and_the_nearer_of_two_is_seen():
     near, far = square(1.5, half=0.2), square(3.0, half=1.0)
     both = concatenate_meshes([near, far])

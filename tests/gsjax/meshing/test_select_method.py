@@ -23,11 +23,7 @@ def choice(margin=0.05, **shares: Any):
         return meshes[name]
 
     methods = {name: lambda name=name: extract(name) for name in shares}
-    selection = select_method(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin))
-    assert {name: one["agrees"] for name, one in selection.judgements.items()} == {
-        name: share for name, share in shares.items() if share is not None
-    }
-    return selection.method
+    return select_method(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin)).method
 
 
 def test_the_usual_mesh_stays_unless_another_agrees_clearly_more():

@@ -35,17 +35,13 @@ def test_pixels_of_a_plane_are_those_whose_rays_meet_it():
     assert_close(pixels_of_faces(wall, view).sum(), met, rtol=0.01, why="the plane's outline is 500 pixels long")
 
 
-def test_the_side_follows_the_view_that_sees_most():
+def test_the_side_follows_the_view_that_sees_most_and_the_bounds_hold():
     wall, near, far = plane(20), camera(4.0, size=4.0), camera(16.0)
     expected = np.sqrt(4 * pixels_of_faces(wall, near).sum() / FILLED)  # four texels a pixel
     side = texture_side(wall, [far, near, far], **BOUNDS)
     assert 0 <= side - expected < STEP and side % STEP == 0
     assert texture_side(wall, [far], **BOUNDS) < side
-
-
-def test_small_triangles_have_room_and_the_bounds_hold():
-    wall, far = plane(300), camera(100.0)
-    side = texture_side(wall, [far], **BOUNDS)
-    assert 0 <= side - np.sqrt(16 * 180_000 / FILLED) < STEP
+    small_triangles_side = texture_side(plane(300), [camera(100.0)], **BOUNDS)
+    assert 0 <= small_triangles_side - np.sqrt(16 * 180_000 / FILLED) < STEP
     assert texture_side(wall, [camera(4.0, size=20.0)], **BOUNDS) == BOUNDS["most"]
     assert texture_side(mesh_of(np.zeros((0, 3)), np.zeros((0, 3))), [far], **BOUNDS) == BOUNDS["least"]

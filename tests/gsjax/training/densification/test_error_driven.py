@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -11,14 +10,14 @@ from tolerances import assert_close
 
 import rasterizer
 from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, sh_coefficients
-from gsjax.scene import Pixels, batches, extent, frame_of
+from gsjax.scene import batches
 from gsjax.scene.cameras import Camera
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training.densification import error_driven
 from gsjax.training.densification.error_driven import ErrorStatistics
 from gsjax.training.densification.gradient_driven import densifies, is_alive
 from gsjax.training.densification.rules import DENSIFICATION_RULES
-from gsjax.training.initialize import DEAD_LOGIT, far_points, from_points
+from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
@@ -151,27 +150,6 @@ def test_what_is_far_away_may_be_larger_by_the_square_of_its_depth():
     assert alive(after)[4:8].tolist() == [False, True, False, False]  # the last was in no view
 
 
-def test_size_spares_the_far_points_of_small_budgets_too():
-    ring = [(4 * np.cos(turn), 0.5, 4 * np.sin(turn)) for turn in np.linspace(0, 2 * np.pi, 12, endpoint=False)]
-    cameras = [camera_at(eye, (0.0, 0.0, 0.0)) for eye in ring]
-    pixels = Pixels(np.zeros((24, 32, 3), np.uint8))
-    frames = tuple(frame_of(f"{i}.png", np.asarray(c.viewmat), np.asarray(c.K), pixels) for i, c in enumerate(cameras))
-    subject = np.random.default_rng(0).normal(size=(600, 3))
-    points = np.concatenate([subject, far_points(subject, frames, 1_800)])
-    start = from_points(points, np.full(points.shape, 0.5), capacity=len(points), sh_degree=0)
-    in_axes = np.stack([points @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3] for frame in frames])
-    focal, middle = frames[0].K[0, 0], frames[0].K[:2, 2]
-    is_visible = (in_axes[..., 2] > 0) & np.all(np.abs(in_axes[..., :2]) * focal < middle * in_axes[..., 2:], -1)
-    rows, size = jnp.zeros(len(points)), extent(frames)
-    views, depths = (jnp.asarray(x.sum(0), jnp.float32) for x in (is_visible, is_visible * in_axes[..., 2] / size))
-    sums = ErrorStatistics(rows, rows + 1, views, depths)
-    how = {"density": Density(rule="error", replace=0.0), "extent": size, "prune_large": True}
-    after, _ = jax.jit(partial(error_driven.densify, **how))(start, sums, KEY, count=jnp.int32(len(points)))
-    is_seen = is_visible.any(0)[600:]
-    assert is_seen.mean() > 0.9
-    assert alive(after)[600:][is_seen].all()
-
-
 @pytest.mark.parametrize("count", [0, 1, ROWS])
 @pytest.mark.parametrize("error", [5.0, np.nan])
 def test_hard_cases_stay_finite_and_within_the_budget(count, error):
@@ -184,13 +162,6 @@ def test_hard_cases_stay_finite_and_within_the_budget(count, error):
     assert np.all(np.asarray(moved.fresh)[~alive(after)])
     if not error > 0:
         jax.tree.map(np.testing.assert_array_equal, rows_of(after, alive(before)), rows_of(before, alive(before)))
-
-
-def test_a_budget_of_one_gaussian_neither_grows_nor_dies():
-    one, sums = (jax.tree.map(lambda x: x[:1], tree) for tree in (scene(1), statistics(9.0, 1.0)))
-    after, moved = densified(one, sums)
-    jax.tree.map(np.testing.assert_array_equal, after, one)
-    assert not np.any(moved.fresh)
 
 
 def counts(density, start, budget, died=0):
@@ -267,15 +238,13 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
     )
 
 
-def test_watching_changes_nothing_else_and_views_add_up(setup):
-    target, other = setup.data.views
+def test_watching_changes_nothing_else(setup):
+    target = setup.data.views[0]
     watched, reported = setup.seeing(setup.start(), target, KEY)
     unwatched, expected = setup.step(None)(setup.start(), target, KEY)
     assert float(reported.loss) == pytest.approx(float(expected.loss), rel=1e-6)
     assert_close(watched.gaussians.means, unwatched.gaussians.means)
     assert_close(watched.gaussians.logit_opacities, unwatched.gaussians.logit_opacities)
     assert not np.any(unwatched.statistics.error)
-    both, _ = setup.seeing(watched, other, KEY)
-    sums = jax.tree.map(np.asarray, both.statistics)
-    assert set(np.unique(sums.views)) <= {0, 1, 2} and (sums.views[:ALIVE] == 2).mean() > 0.5
+    sums = jax.tree.map(np.asarray, watched.statistics)
     assert not any(x[ALIVE:].any() for x in (sums.error, sums.weight, sums.views)), "dead rows have no part"

@@ -8,18 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
-from small_scenes import camera_at, cloud
+from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.rendering import Neighbor, View
 from gsjax.scene import Pixels, batches, cameras, frame_of
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
-from gsjax.settings import Phase, Rates, Schedule, Settings, Weights
-from gsjax.training import loop, stepping
-from gsjax.training.optimizers import make_optimizer
-from gsjax.training.plan import plan
-from gsjax.training.state import initial_state
+from gsjax.training import stepping
 from gsjax.training.terms import multi_view
 
 CAMERA = camera_at()
@@ -276,32 +272,3 @@ def test_every_step_has_a_neighbour_of_its_view_beside_it():
     others = neighbors != np.arange(3)[:, None]
     np.testing.assert_array_equal(others.mean(axis=1), [1, 3 / 8, 0])
     np.testing.assert_array_equal(neighbors[others], rows[others])
-
-
-@pytest.mark.parametrize("first_step", [0, 1])
-def test_a_phase_asks_in_what_share_of_its_steps_photos_are_compared_once_there_are_normals(monkeypatch, first_step):
-    """And views bring neighbours in the phases of the term alone."""
-    calls, neighbors = [], {}
-
-    def prior(state):
-        calls.append("normals")
-        return [np.tile(np.int8([0, 0, -127]), (HEIGHT, WIDTH, 1))] * len(PHOTOS)
-
-    def shares():
-        calls.append("shares")
-        return np.zeros(len(PHOTOS))
-
-    def noted(self, state, done, capacity):
-        neighbors[self.phase.name] = self.views.surface.neighbors
-        return state, capacity
-
-    monkeypatch.setattr(loop.PhaseRun, "run", noted)
-    weights = Weights(multi_view=0.1, pixel_normal=0.1)
-    phases = Phase("plain", 1), Phase("surface", 1, weights, surface_every=2, surface_scale=2)
-    optimizer = make_optimizer(Rates(), 1.0, 2)
-    state = replace(initial_state(cloud(9), optimizer), step=np.int32(first_step))
-    planned = plan(Settings(schedule=Schedule(phases=phases)))
-    loop.follow(loop.Work(planned, PHOTOS, 4.0, optimizer, prior=prior, shares=shares), state)
-    assert calls == ["normals", "shares"]
-    assert first_step == 1 or neighbors["plain"] is None
-    np.testing.assert_array_equal(neighbors["surface"], np.repeat(np.arange(len(PHOTOS))[:, None], 8, axis=1))
