@@ -157,24 +157,6 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, first_phase, 
     assert not (tmp_path / "none").exists()
 
 
-def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(first_phase, scene, tmp_path):
-    """The model at four times the size, its names those of the full photos: the same cameras, so the same bits."""
-    model = pycolmap.Reconstruction(scene / "sparse/0")
-    camera = model.cameras[1]
-    camera.width, camera.height, camera.params = 4 * camera.width, 4 * camera.height, 4 * np.asarray(camera.params)
-    for image in model.images.values():
-        image.name = image.name.replace(".png", ".JPG")
-    (tmp_path / "scene/sparse/0").mkdir(parents=True)
-    model.write_binary(tmp_path / "scene/sparse/0")
-    shutil.copytree(scene / "images", tmp_path / "scene/images_4")
-    shutil.copytree(scene / "masks", tmp_path / "scene/masks")
-
-    original, settings = first_phase
-    summary = pipeline.train(tmp_path / "scene", tmp_path / "run", config.parse(Settings, settings))
-    assert (tmp_path / "run/gaussians.ply").read_bytes() == (original / "gaussians.ply").read_bytes()
-    assert summary["psnr"] == json_files.read(original / "manifest.json")["psnr"]
-
-
 @pytest.mark.long
 def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scene, tmp_path):
     """On the photos that the other runs train on: their programs, compiled once."""

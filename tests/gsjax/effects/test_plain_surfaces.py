@@ -8,7 +8,6 @@ import pytest
 from plain_places import DOUBTFUL, GLASS, ROOMS, SKIES, ceiling, room
 from plain_scenes import photograph, plaster
 
-from gsjax.effects import parallax, sky
 from gsjax.effects.diagnosis import diagnose
 from gsjax.planning.effects import choose_effects
 from gsjax.scene import with_pixels
@@ -80,13 +79,3 @@ def test_a_fall_off_of_the_lens_on_a_flat_ceiling_is_no_sky():
         image = frame.pixels().image * (2 ** (-0.4 * radii))[..., None]
         frames.append(with_pixels(frame, frame.pixels()._replace(image=image.astype(np.uint8))))
     assert not diagnose(replace(scene, frames=tuple(frames))).effects["sky"].on
-
-
-@pytest.mark.parametrize(
-    ("near", "blueness", "blue_range", "is_sky"),
-    [(1.04, 0.95, 0.56, True), (0.97, 0.95, 0.56, False), (1.04, 0.95, 0.08, False), (1.04, 0.59, 0.56, False)],
-    ids=["a castle's sky", "a wall explains it better", "a blue of one colour", "a pale blue"],
-)
-def test_a_vivid_blue_is_a_sky_to_photos_of_nearly_one_place(near, blueness, blue_range, is_sky):
-    compared = parallax.Parallax(near, 0.78, 3.21, 0.1, blueness, blue_range)
-    assert (sky.score(compared) > 1.2) == is_sky

@@ -7,7 +7,6 @@ from run_folders import write_run
 from small_scenes import camera_at, discs
 from tolerances import assert_close
 
-from gsjax import cli
 from gsjax.errors import InputError
 from gsjax.gaussians import concatenate, take
 from gsjax.io import json_files
@@ -69,7 +68,7 @@ def test_planted_dirt_is_found_by_its_kind_nothing_else_is_and_all_of_it_comes_b
         undo(run)
 
 
-def test_a_cleaning_that_was_stopped_is_done_again_or_undone(run):
+def test_a_cleaning_that_was_stopped_is_done_again_or_undone_but_not_on_another_file(run):
     file, whole = run / "gaussians.ply", (run / "gaussians.ply").read_bytes()
     clean(run)
     cleaned = file.read_bytes()
@@ -79,6 +78,10 @@ def test_a_cleaning_that_was_stopped_is_done_again_or_undone(run):
     file.write_bytes(whole)
     assert undo(run)["back"] == 0
     assert file.read_bytes() == whole and not list(run.glob("*.original.*"))
+    clean(run)
+    write_gaussians(file, take(planted()[0], slice(None, None, -1)))
+    with pytest.raises(InputError, match="is not the file any more that"):
+        undo(run)
 
 
 def test_a_file_without_cameras_loses_what_hangs_on_nothing(run, tmp_path):
@@ -111,11 +114,3 @@ def test_crops_keep_what_lies_inside(tmp_path):
         with pytest.raises(InputError, match=message):
             clean(bare, tmp_path / "none.ply", **wrong)
     assert not (tmp_path / "none.ply").exists()
-
-
-def test_undo_refuses_what_became_another_file(run):
-    clean(run)
-    write_gaussians(run / "gaussians.ply", take(planted()[0], slice(None, None, -1)))
-    with pytest.raises(InputError, match="is not the file any more that"):
-        undo(run)
-    assert cli.main(["clean", str(run), "--undo", "--box", "0", "0", "0", "1", "1", "1"]) == 2

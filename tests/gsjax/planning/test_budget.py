@@ -1,7 +1,6 @@
 """Budgets of time: what is read, what is scaled, what is chosen; on a clock of the test's own."""
 
 import re
-from argparse import ArgumentTypeError
 
 import numpy as np
 import pytest
@@ -24,13 +23,6 @@ def test_a_time_is_a_number_and_its_unit_and_anything_else_is_one_line():
     for text in ("10", "m", "", "-3m", "0s", "ten minutes", "10 m", "1e9h", "10d", "nan", "9" * 400 + "h"):
         with pytest.raises(InputError, match=r"^[^\n]*not a time, such as 90s, 10m or 1.5h[^\n]*$"):
             parsers.seconds(text)
-
-
-def test_a_count_is_one_at_least():
-    assert parsers.count("12") == 12
-    for text in ("0", "-1", "1.5", "", "two"):
-        with pytest.raises(ArgumentTypeError, match=f"^{text}: not a whole number of at least 1$"):
-            parsers.count(text)
 
 
 def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
@@ -153,6 +145,7 @@ def test_the_first_twenty_steps_of_each_phase_are_timed_and_the_compiling_ones_l
     assert int(is_alive(state.gaussians).sum()) == state.gaussians.num_gaussians == 300
 
 
+@pytest.mark.long
 def test_a_run_with_normals_and_depth_is_measured_and_nothing_multiplies():
     phases = (Phase("b", 100, Weights(dssim=0.0, pixel_normal=0.1), density_control=True),)
     settings = SETTINGS.replace(schedule={"phases": phases}, supervision={"depth": "folder"})

@@ -16,8 +16,6 @@ from tolerances import assert_close
 from gsjax.config import parse
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.observations import observe
-from gsjax.effects.simulation import Effect, initial_state, update_effects
-from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effect_runs import held_out_blocks, switchable, without_blocks
 from gsjax.planning.effect_validation import EffectValidation, select, steps_of_each
@@ -44,24 +42,6 @@ def photo(index=0, size=(40, 30)):
     return frame_of(f"{index:02d}", np.eye(4), np.eye(3), Pixels(np.zeros((size[1], size[0], 3), np.uint8)))
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    return load_scene(built_in(tmp_path_factory.mktemp("data") / "scene", num_views=16, size=(64, 64)))
-
-
-def sheen(scene):
-    """Light that depends on the direction in the world: most where the cameras look on average."""
-    up = -np.stack([frame.viewmat[1, :3] for frame in scene.frames]).mean(0)
-    middle = np.mean([frame.viewmat[2, :3] @ up for frame in scene.frames]) / np.linalg.norm(up)
-
-    def stops(index, frame, x, y):
-        rays = np.stack([(x - frame.K[0, 2]) / frame.K[0, 0], (y - frame.K[1, 2]) / frame.K[1, 1], np.ones_like(x)], -1)
-        height = rays @ frame.viewmat[:3, :3] @ up / np.linalg.norm(rays, axis=-1) / np.linalg.norm(up)
-        return 0.8 * np.exp(-np.square((height - middle) / 0.3))[..., None]
-
-    return relit(scene, stops)
-
-
 def validation(scene, settings=SETTINGS):
     return EffectValidation(
         settings,
@@ -72,25 +52,6 @@ def validation(scene, settings=SETTINGS):
             scene, short.model, rule_named(short.density.rule), optimizer, effects
         ),
     )
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", ["vignetting", "sheen", "clean"])
-def test_a_real_falloff_passes_and_an_invented_one_does_not(scene, kind):
-    """The tracks of glossy surfaces imply a fall-off of 0.2 EV that no lens has."""
-    photos = {
-        "vignetting": lambda: relit(scene, lambda index, frame, x, y: -0.4 * radii2(frame, x, y)),
-        "sheen": lambda: sheen(scene),
-        "clean": lambda: scene,
-    }[kind]()
-    observations = observe(photos)
-    estimated = exposure.estimate(observations)
-    assert estimated is not None
-    corner = -vignetting.corner(observations, estimated)[0]
-    assert corner > 0.1 or kind == "clean"
-    verdict = validation(photos)(observations, ("vignetting",))["vignetting"]
-    assert verdict.passes == (kind == "vignetting")
-    assert verdict.gain < 0.05 or kind == "vignetting"
 
 
 def turned(scene, degrees):
@@ -255,17 +216,3 @@ def test_without_validation_evidence_must_be_stronger_and_corners_are_left_alone
         assert choose_effects("auto", plan(SETTINGS), scene).names == names
         assert refused is None or f"not simulated: {refused}" in capsys.readouterr().err
     assert choose_effects("vignetting", plan(SETTINGS), dark, lambda *_: {}).names == ("vignetting",)
-
-
-def test_a_users_own_effect_is_simulated_besides_and_learns():
-    """Light of one factor for all photos: its number falls where photos are darker than the render."""
-    rate = optax.constant_schedule(1e-2)
-    own = Effect(np.float32(0), rate, light=lambda number, colors, batch: colors * jnp.exp(number))
-    choice = choose_effects("exposure", plan(SETTINGS), wall(6)).with_own({"dimmer": own})
-    assert choice.names == ("exposure", "dimmer") and plan(SETTINGS).with_effects(choice.names).effects == choice.names
-    state = initial_state(choice.effects)
-    gradients = {"exposure": jnp.zeros_like(state.numbers["exposure"]), "dimmer": jnp.float32(1)}
-    state = update_effects(choice.effects, state, gradients)
-    assert state.numbers["dimmer"] == pytest.approx(-1e-2, rel=1e-4)
-    with pytest.raises(InputError, match="'poses' is an effect of the library; give yours another name"):
-        choice.with_own({"poses": own})

@@ -10,7 +10,6 @@ from gsjax.planning import stereo_supervision as module
 from gsjax.planning.stereo_supervision import stereo_supervision
 from gsjax.settings import Schedule, Settings, Supervision
 from gsjax.stereo import PhotoDepths, StereoMap, write_stereo_maps
-from gsjax.training.plan import plan
 
 SCENE = wall(3)
 DEPTH = np.zeros((36, 48), np.float32)
@@ -75,11 +74,3 @@ def test_a_resumed_run_reads_its_own_maps_or_has_none_and_compares_nothing(swept
     supervision = stereo_supervision(SCENE, ASKED, tmp_path)
     assert not swept and list(supervision.maps) == list(MAPS)
     np.testing.assert_array_equal(supervision.maps[SCENE.frames[0].name].depth, DEPTH)
-
-
-def test_the_term_of_depth_is_in_every_phase_until_there_is_no_depth():
-    planned = plan(ASKED)
-    weights = [{each.name: each.weight for each in phase.terms} for phase in planned.phases]
-    assert weights and all(each["measured_depth"] == 0.3 for each in weights)
-    assert "measured" in planned.needs and "measured" not in planned.without("measured").needs
-    assert planned.without("measured") == plan(Settings())
