@@ -9,7 +9,7 @@ from tolerances import assert_close
 
 from gsjax.effects import exposure, vignetting
 from gsjax.effects.appearance import Appearance, fit_colors, without_appearance
-from gsjax.effects.simulation import FINAL, HOLD, LIMIT, RATE, WARM_UP, learning_rate, photograph
+from gsjax.effects.simulation import LIMIT, learning_rate, photograph
 from gsjax.rendering import View
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.batches import Batch
@@ -112,18 +112,6 @@ def test_numbers_beyond_their_bounds_give_finite_values_and_gradients(size):
     colors = photo_colors(numbers, view(), batch(), BLACK)
     assert np.isfinite(colors).all() and np.max(colors) <= np.exp(2 * LIMIT)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(brightness(numbers)))
-
-
-def test_rates_wait_warm_up_fall_and_pause_after_resets():
-    rate = RATE_OF_A_RUN
-    assert rate(0) == rate(HOLD) == 0
-    assert_close(rate(HOLD + 150), np.float32(RATE * 0.5 * FINAL ** ((HOLD + 150) / 3000)))
-    assert_close(rate(3000), np.float32(RATE * FINAL))
-    resetting = learning_rate(15000, reset_every=3000, resets_stop=9000)
-    paused = [step for step in range(1000, 15000, 100) if resetting(step) == 0]
-    assert paused == [3000, 3100, 3200, 6000, 6100, 6200, 9000, 9100, 9200]
-    assert WARM_UP > 0
-    assert learning_rate(30)(3) == 0 < learning_rate(30)(4)
 
 
 def test_the_fitted_colours_are_the_affine_map_where_there_is_one():

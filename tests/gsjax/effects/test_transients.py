@@ -1,6 +1,5 @@
 """Masks of what stood in one photo only: in closed form, at their bounds, and the quantile that they follow."""
 
-from dataclasses import replace
 from functools import partial
 from itertools import product
 
@@ -15,7 +14,6 @@ from gsjax.effects import transients
 from gsjax.effects.simulation import mask_untrusted
 from gsjax.rendering import View
 from gsjax.scene.batches import Batch
-from gsjax.settings import Density
 
 CAMERA = camera_at(size=(32, 24))
 EFFECTS = {"transients": transients.make_effect(optax.constant_schedule(transients.RATE))}
@@ -94,11 +92,3 @@ def test_hard_cases_in_value_and_gradient():
         assert value == 0
         assert np.isfinite(slopes[0]) and not np.any(slopes[1])
         assert (slopes[0] != 0) == is_valid
-
-
-def test_densification_waits_for_the_masks():
-    growth = Density(start=100, stop=500)
-    assert transients.delay_densification(growth, 1000) == replace(growth, start=300, stop=700)
-    assert transients.delay_densification(growth, 600) == replace(growth, start=300, stop=600)
-    assert transients.delay_densification(Density(start=500, stop=15000), 7000) == Density(start=3750, stop=15000)
-    assert transients.delay_densification(Density(start=500, stop=400), 1000) == Density(start=500, stop=400)

@@ -16,7 +16,7 @@ from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
-from gsjax.meshing import holes, select_method
+from gsjax.meshing import select_method
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.methods import METHODS, MeshMethod
 from gsjax.meshing.track_visibility import TrackRays
@@ -53,21 +53,6 @@ def test_any_ply_becomes_a_mesh_without_cameras(file, method, tmp_path):
         assert report["topology"]["watertight"]
         assert report["holes"] == {"patches": 0, "closed": 0, "closed_faces": 0}
         assert signed_volume(result) == pytest.approx(4 / 3 * np.pi, rel=0.06)
-
-
-def test_a_cut_ball_keeps_its_rim(file, tmp_path, monkeypatch):
-    """Nobody sees a surface where the box cuts the ball, and the views see its inside through the opening."""
-    view_counts, close = [], holes.fill_holes
-
-    def fill_holes(surface, views):
-        view_counts.append(len(views))
-        return close(surface, views)
-
-    monkeypatch.setattr(holes, "fill_holes", fill_holes)
-    box = {"bounds": [-2.0, -2, 0, 2, 2, 2], "foreground_only": True}
-    cut = mesh(file, tmp_path / "mesh.ply", method="tsdf", fill_holes=True, **box)
-    assert cut["topology"]["boundary_loops"] >= 1
-    assert view_counts == [16], "all views"
 
 
 def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):

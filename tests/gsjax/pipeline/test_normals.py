@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from small_graphs import ANY, NHWC, SmallGraph, color_network
 from small_scenes import angles
 from tqdm import tqdm
@@ -151,21 +150,6 @@ def test_what_the_network_rejects_is_exactly_zero_and_may_be_anything(tmp_path):
         stored = np.load(file)["cam"]
         assert stored.dtype == np.float16 and (stored[:, :20] == 0).all()
         assert angles(stored[:, 20:], ball()[:, 20:]).max() < 0.6
-
-
-def test_masks_and_mattes_leave_nothing_where_the_photo_shows_nothing(tmp_path):
-    photo = np.dstack([as_photo(ball()), np.full((HEIGHT, WIDTH), 255, np.uint8)])
-    photo[:10, :, 3] = 0
-    scene = write_scene(tmp_path / "scene", photos={f"images/{n}.png": photo for n in "ab"})
-    (scene / "masks").mkdir()
-    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
-    mask[:, 50:] = 0
-    Image.fromarray(mask).save(scene / "masks/a.png")
-    weights = color_network(tmp_path / "w.onnx")
-    pipeline.normals(scene, write_record(tmp_path / "r.json"), weights, tmp_path / "maps")
-    a, b = read(tmp_path / "maps", scene).values()
-    assert not a[:10].any() and not a[:, 50:].any() and a[10:, :50].any(axis=-1).all()
-    assert not b[:10].any() and b[10:].any(axis=-1).all()
 
 
 def test_a_lens_is_taken_out_before_the_network_sees_it_and_not_once_more(tmp_path):

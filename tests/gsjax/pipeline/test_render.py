@@ -17,7 +17,6 @@ from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.export import write_mesh, write_textured
 from gsjax.pipeline.render import picture_stems
 from gsjax.rendering import gallery
-from gsjax.report.pictures import depth_picture
 from gsjax.runs import viewpoints
 from gsjax.scene.cameras import viewmat_center
 from gsjax.scene.meshes import Mesh
@@ -93,16 +92,6 @@ def test_keyframes_are_in_the_coordinates_of_the_run(run, tmp_path):
     assert cameras[0].K[1, 1] == pytest.approx(10 / np.tan(np.radians(25)))
 
 
-def test_one_depth_has_one_grey_in_the_whole_film(run, tmp_path):
-    folder, _ = run
-    options = {"what": "depth", "seconds": 1, "fps": 10, "size": (64, 48)}
-    pipeline.render(folder, tmp_path / "film.mp4", views="through_photos", **options)
-    light = pictures_of(tmp_path / "film.mp4").mean(axis=(1, 2, 3))
-    assert (np.diff(light) < 2).all() and light[0] - light[-1] > 150
-    depths = np.float32([[0, 1, 2, 3]])
-    np.testing.assert_array_equal(depth_picture(depths)[0, :, 0], [0, 255, 147, 38])
-
-
 def test_a_turntable_is_a_folder_a_film_or_a_gif(run, tmp_path):
     folder, cameras = run
     pipeline.render(folder, tmp_path / "turn", views="turntable")
@@ -173,19 +162,6 @@ def test_bad_options_are_one_line_and_write_nothing(run, box, tmp_path, monkeypa
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_a_film_that_is_stopped_leaves_nothing(run, tmp_path, monkeypatch):
-    folder, _ = run
-
-    def stopped(*_, **__):
-        raise KeyboardInterrupt
-        yield
-
-    monkeypatch.setattr(gallery, "pictures", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        pipeline.render(folder, tmp_path / "film.mp4", views="turntable", seconds=1, fps=5)
-    assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
 def test_no_two_views_share_a_name():

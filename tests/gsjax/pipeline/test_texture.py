@@ -79,19 +79,3 @@ def test_where_photos_are_masked_the_mesh_keeps_its_own_colours(folder, tmp_path
     assert textured is not None
     assert np.all(np.abs(_color_at(textured, (-0.5, 0.2)).astype(int) - 128) <= 1)
     assert np.abs(_color_at(textured, (0.6, 0.2)) / 255 - [0.1, 0.2, 0.8]).max() < 0.05
-
-
-@pytest.mark.parametrize(
-    ("mesh", "options", "message"),
-    [
-        ("grey.ply", ["--out", "t.ply"], "t.ply: meshes with a texture end in .obj, .glb, .usdz"),
-        ("grey.ply", ["--out", "t.glb", "--size", "9000"], "--size 9000 is not between 64 and 8192"),
-        ("none.ply", ["--out", "t.glb"], "none.ply: no such mesh file"),
-    ],
-)
-def test_bad_input_is_one_line_and_code_2(folder, monkeypatch, capsys, mesh, options, message):
-    monkeypatch.chdir(folder)
-    before = sorted(folder.iterdir())
-    assert cli.main(["texture", str(folder), "--mesh", mesh, *options]) == 2
-    assert capsys.readouterr().err == f"gsjax: error: {message}\n"
-    assert sorted(folder.iterdir()) == before

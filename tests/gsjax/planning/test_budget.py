@@ -12,7 +12,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import is_alive
 from gsjax.planning import budget
 from gsjax.presets import LENGTHS, PRESETS
-from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
+from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings
 
 NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
 
@@ -143,11 +143,3 @@ def test_the_first_twenty_steps_of_each_phase_are_timed_and_the_compiling_ones_l
     assert phases == [(0, 20, 0), (20, 40, 0), (40, 60, 0)]
     assert trial.plan.density.start > 60 and 0 < len(trial.frames) <= 8
     assert int(is_alive(state.gaussians).sum()) == state.gaussians.num_gaussians == 300
-
-
-@pytest.mark.long
-def test_a_run_with_normals_and_depth_is_measured_and_nothing_multiplies():
-    phases = (Phase("b", 100, Weights(dssim=0.0, pixel_normal=0.1), density_control=True),)
-    settings = SETTINGS.replace(schedule={"phases": phases}, supervision={"depth": "folder"})
-    whole, compiling = budget.measure(wall(5, num_points=40), settings)
-    assert whole > 0 and compiling > 0
