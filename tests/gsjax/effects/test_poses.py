@@ -82,12 +82,6 @@ EFFECT = poses.make_effect(CENTERS, 2.0, np.array([0, 0, 1, 1, 1]), 2, lambda st
 camera_of = jax.jit(EFFECT.camera)
 
 
-def test_no_twist_leaves_every_bit():
-    still = camera_of(EFFECT.initial, CAMERA, jnp.int32(2))
-    np.testing.assert_array_equal(still.viewmat, CAMERA.viewmat)
-    np.testing.assert_array_equal(still.K, CAMERA.K)
-
-
 def test_the_gauge_is_what_moves_all_cameras_with_the_world():
     """A small similarity of the world, against twists read off the cameras that it gives."""
     fixed = gauge(CENTERS, 2.0)

@@ -84,23 +84,15 @@ def test_a_cleaning_that_was_stopped_is_done_again_or_undone_but_not_on_another_
         undo(run)
 
 
-def test_a_file_without_cameras_loses_what_hangs_on_nothing(run, tmp_path):
+def test_a_file_without_cameras_loses_what_hangs_on_nothing_and_lies_outside_a_crop(tmp_path):
     gaussians, kinds = planted()
-    bare, out = tmp_path / "bare.ply", tmp_path / "clean.ply"
+    bare, out, means = tmp_path / "bare.ply", tmp_path / "clean.ply", np.asarray(gaussians.means)
     write_gaussians(bare, gaussians)
     report = clean(bare, out)
     assert (report["isolated"], report["giants"]) == ((kinds == "isolated").sum(), 2)
     assert load_gaussians(bare).num_gaussians == len(kinds)
     assert load_gaussians(out).num_gaussians == (kinds == "scene").sum()
     assert report["picture"] is None
-    with pytest.raises(InputError, match="comes without cameras; --crop-to-cameras needs a run, or --scene"):
-        clean(bare, tmp_path / "other.ply", crop_to_cameras=True)
-
-
-def test_crops_keep_what_lies_inside(tmp_path):
-    gaussians, _ = planted()
-    bare, means = tmp_path / "bare.ply", np.asarray(gaussians.means)
-    write_gaussians(bare, gaussians)
     clean(bare, tmp_path / "half.ply", box=(-9, -9, 0, 9, 9, 9))
     assert (load_gaussians(tmp_path / "half.ply").means[:, 2] >= 0).all()
     report = clean(bare, tmp_path / "cap.ply", sphere=(0, 0, 1, 0.25))
@@ -110,6 +102,7 @@ def test_crops_keep_what_lies_inside(tmp_path):
     for wrong, message in (
         ({"sphere": (9, 9, 9, 1)}, "none of its .* would be left"),
         ({"box": (1, 0, 0, 0, 1, 1)}, "--box 1"),
+        ({"crop_to_cameras": True}, "comes without cameras; --crop-to-cameras needs a run, or --scene"),
     ):
         with pytest.raises(InputError, match=message):
             clean(bare, tmp_path / "none.ply", **wrong)

@@ -55,15 +55,6 @@ def test_any_ply_becomes_a_mesh_without_cameras(file, method, tmp_path):
         assert signed_volume(result) == pytest.approx(4 / 3 * np.pi, rel=0.06)
 
 
-def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
-    box = [-2.0, -2, 0, 2, 2, 2]
-    around = {"background_bounds": [-2.0, -2, -2, 2, 2, 2]}
-    report = mesh(file, tmp_path / "mesh.ply", bounds=box, faces=500, method="tsdf", **around)
-    assert report["foreground"]["cleaning"]["decimated_faces"] > 0 and report["faces"] <= 1000
-    assert report["foreground"]["box"] == [box[:3], box[3:]]
-    assert report["background"]["points_seen"] > 0
-
-
 @pytest.mark.parametrize(("count", "winner"), [(400, "tsdf"), (90, "poisson")])
 def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch, count, winner):
     """Balls of which one is where the tracks end; fewer than 100 lines of sight tell of none.
@@ -213,10 +204,8 @@ def test_pictures_that_memory_does_not_hold_are_rendered_again_and_are_the_same(
     ("options", "fault"),
     [
         ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, tsdf"),
-        ({"trim_quantile": 1.0}, "--trim-quantile 1.0"),
         ({"background_bounds": [0, 0, 0, 1, 1, 1]}, "--background-bounds needs --bounds"),
         ({"bounds": [0, 0, 0, 1, 1, float("inf")]}, "--bounds 0 0 0 1 1 inf: not all of its sides are finite"),
-        ({"bounds": [0, 0, 0, 1, 1, 1], "background_bounds": [0, 0]}, r"--background-bounds \[0, 0\]: expected 6"),
         ({"cell": 1e-9, "method": "tsdf"}, "--cell 1e-09: makes "),
         ({"points": 10**13}, "--points 10000000000000 takes 2.24e"),
         ({"bounds": [5, 5, 5, 6, 6, 6]}, "holds none of 2000 Gaussians, which span"),

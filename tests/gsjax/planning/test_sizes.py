@@ -1,4 +1,4 @@
-"""Photos that a run reads: at which size, in which memory, in how much time."""
+"""Photos that a run reads: at which size, and in which memory."""
 
 from dataclasses import replace
 
@@ -8,15 +8,13 @@ from photographed_wall import wall
 
 from gsjax.errors import InputError
 from gsjax.io.temporary_files import ArraysOnDisk
-from gsjax.planning import memory, pace
+from gsjax.planning import memory
 from gsjax.planning.memory import fit_to_memory
-from gsjax.planning.pace import seconds_left
 from gsjax.planning.preparation import read_photos
 from gsjax.planning.sizes import chosen_downscale
 from gsjax.scene import Frame, in_memory, with_pixels
 from gsjax.settings import Model, Phase, Photos, Schedule, Settings, Weights
 from gsjax.training.plan import plan
-from gsjax.training.terms import weigh_terms
 
 EYE = np.eye(4, dtype=np.float32)
 
@@ -43,23 +41,6 @@ def test_the_size_is_the_users_or_what_the_largest_photo_and_the_machine_bear(si
 
 
 PHASES = (Phase("coarse", 100, image_scale=2), Phase("vanilla", 200), Phase("surface", 50, Weights(sdf_normal=0.1)))
-
-
-def test_what_is_left_scales_with_the_pixels_and_the_terms_of_each_phase():
-    planned = plan(Settings(schedule=Schedule(phases=PHASES)))
-    coarse, vanilla, surface = planned.phases
-    assert seconds_left(planned, 100, vanilla, 0.5) == pytest.approx(0.5 * (200 + 2 * 50))
-    assert seconds_left(planned, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 2 * 50))
-    assert seconds_left(planned, 300, surface, 1.0) == pytest.approx(50)
-    rarely = replace(planned, phases=(coarse, vanilla, replace(surface, surface_every=4)))
-    assert seconds_left(rarely, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 1.25 * 50))
-    smaller = replace(planned, phases=(coarse, vanilla, replace(surface, surface_every=4, surface_scale=2)))
-    of_dear = 2 * (pace.FIXED_COST + (1 - pace.FIXED_COST) / 4)
-    assert seconds_left(smaller, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + (0.75 + 0.25 * of_dear) * 50))
-    lying = replace(planned, phases=(coarse, vanilla, replace(surface, terms=weigh_terms({"depth_normal": 0.1}))))
-    assert seconds_left(lying, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 1.6 * 50))
-    quarter = pace.FIXED_COST + (1 - pace.FIXED_COST) / 4
-    assert seconds_left(planned, 20, coarse, quarter) == pytest.approx(80 * quarter + 200 + 2 * 50)
 
 
 PIXELS, MASKED = 1000 * 800, 2
