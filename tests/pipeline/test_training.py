@@ -24,7 +24,7 @@ from gsjax.planning.sparse_views import Gain
 from gsjax.settings import Settings
 
 
-def begun(scene, folder, settings, **how):
+def first_state_of(scene, folder, settings, **how):
     """The state that a training begins with; the loop takes no step."""
     states = []
 
@@ -112,12 +112,12 @@ def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene,
         return replace(scene, points=scene.points + np.float32(100)), ("found some",)
 
     monkeypatch.setattr(preparation, "with_stereo_points", far_away)
-    state = begun(scene, tmp_path / "begun", settings)
+    state = first_state_of(scene, tmp_path / "begun", settings)
     assert capacities == [900] and "train: found some\n" in capsys.readouterr().err
     assert np.median(state.gaussians.alive().means) > 90
     shutil.copytree(run, tmp_path / "run")
-    begun(scene, tmp_path / "run", settings, resume=True)
-    begun(scene, tmp_path / "other", settings, warm_start=run)
+    first_state_of(scene, tmp_path / "run", settings, resume=True)
+    first_state_of(scene, tmp_path / "other", settings, warm_start=run)
     assert capacities == [900] and "found some" not in capsys.readouterr().err
 
 
@@ -133,7 +133,7 @@ def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, 
     first = SETTINGS["schedule"]["phases"][:1]
     settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"sparse_views": True, "phases": first}}))
     for how in ({}, {"resume": True}):
-        begun(scene, run, settings, **how)
+        first_state_of(scene, run, settings, **how)
         line = "with 450 Gaussians, of which each step leaves out 20% (validation runs: +0.5 +-0.1 dB)"
         assert line in capsys.readouterr().err
         plan = json_files.read(run / "plan.json")
@@ -154,7 +154,7 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, first_phase, 
     early = list((first_run / "checkpoints").iterdir())
     for later in (run / "checkpoints").iterdir():
         shutil.copy(later, first_run / "checkpoints")
-    assert begun(scene, tmp_path / "parted", settings, warm_start=first_run).step == 12
+    assert first_state_of(scene, tmp_path / "parted", settings, warm_start=first_run).step == 12
     for file in early:
         file.unlink()
     with pytest.raises(InputError, match="begun: has no checkpoint of the 12 steps that this run has in common"):
