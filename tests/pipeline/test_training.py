@@ -1,11 +1,6 @@
-"""The whole road on a small scene: trained, stopped and continued, refused, and the same to the bit however it runs."""
+"""The whole road on a small scene: trained, stopped and continued, refused."""
 
-import json
-import os
 import shutil
-import subprocess
-import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -193,40 +188,3 @@ def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, cap
     assert error.startswith("gsjax: error: ") and "maps/001.png: normal map is 40x40, its frame 48x40" in error
     assert not any("Error" in line for line in progress)
     assert not (tmp_path / "run").exists()
-
-
-PROGRAM = """
-import sys, json
-from gsjax import config, pipeline
-from gsjax.settings import Settings
-scene, out, settings = sys.argv[1:]
-pipeline.train(scene, out, config.parse(Settings, json.loads(settings)))
-"""
-
-
-def assert_same(one, other):
-    assert (one / "gaussians.ply").read_bytes() == (other / "gaussians.ply").read_bytes()
-    losses = [[record["loss"] for record in runs.read_metrics(folder)] for folder in (one, other)]
-    assert losses[0] == losses[1] and losses[0]
-
-
-def test_one_thread(first_phase, scene, tmp_path):
-    """In a process of its own, which compiles its own programs."""
-    reference, settings = first_phase
-    own = {"NPROC": "1", "JAX_ENABLE_COMPILATION_CACHE": "false"}
-    command = [sys.executable, "-c", PROGRAM, str(scene), str(tmp_path / "run"), json.dumps(settings)]
-    subprocess.run(command, env={**os.environ, **own}, check=True, capture_output=True)
-    assert_same(tmp_path / "run", reference)
-
-
-def test_two_trainings_in_two_threads(first_phase, scene, tmp_path):
-    reference, settings = first_phase
-
-    def train(name):
-        pipeline.train(scene, tmp_path / name, config.parse(Settings, settings))
-
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(train, ("one", "other")))
-    for name in ("one", "other"):
-        assert_same(tmp_path / name, reference)
-        assert "<svg" in (tmp_path / name / "report.html").read_text()
