@@ -65,11 +65,6 @@ def test_nothing_is_compared_where_nothing_asks_for_it(swept, settings):
     assert not swept and not supervision.maps and supervision.depths(SCENE.frames) is None
 
 
-def test_photos_that_were_never_matched_have_no_stereo():
-    supervision = stereo_supervision(replace(SCENE, tracks=None), ASKED, None)
-    assert not supervision.maps and supervision.depths(SCENE.frames) is None
-
-
 def test_a_resumed_run_reads_its_own_maps_or_has_none_and_compares_nothing(swept, tmp_path):
     assert not stereo_supervision(SCENE, ASKED, tmp_path).maps
     write_stereo_maps(tmp_path, MAPS)
