@@ -46,6 +46,16 @@ def run(scene, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def first_phase(scene, tmp_path_factory) -> tuple[Path, dict]:
+    """The first phase of that run alone, and its settings."""
+    phases = SETTINGS["schedule"]["phases"][:1]
+    settings = config.merge(SETTINGS, {"schedule": {"phases": phases}, "rates": {"decay_steps": 30}})
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    pipeline.train(scene, folder, config.parse(Settings, settings))
+    return folder, settings
+
+
+@pytest.fixture(scope="session")
 def run_mesh(run, tmp_path_factory) -> tuple[Path, dict]:
     """The mesh of the run and its report, from few points."""
     file = tmp_path_factory.mktemp("mesh") / "mesh.ply"

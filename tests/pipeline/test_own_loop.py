@@ -73,20 +73,3 @@ def test_a_loss_of_ones_own_is_descended_and_an_sdf_estimator_of_ones_own_aligne
     # Adam moves a logarithm by 5e-3 a step at most: to 0.90 of it in 21 steps.
     assert float(last.terms["flat"]) < 0.92 * float(first.terms["flat"])
     assert 0 < float(last.terms["facing"]) < 1
-
-
-@pytest.mark.parametrize(
-    ("losses", "options", "line"),
-    [
-        ({"dsim": 0.2}, {}, "weights.dsim: no such term of the loss; the nearest known one is 'dssim'"),
-        ({"l1": 1.0}, {"densify": "eror"}, "densify='eror' is none of adc, error"),
-        ({"l1": 1.0}, {"background": "grey"}, "background='grey' is none of white, black, random"),
-        ({"l1": 1.0, "pixel_normal": 0.1}, {}, "pixel_normal: needs normals, which this view does not have"),
-    ],
-)
-def test_faults_are_one_line(loaded, losses, options, line):
-    optimizer = gsjax.adam(loaded.extent, steps=10)
-    with pytest.raises(ValueError, match=line):
-        step = gsjax.train_step(optimizer, losses, **options)
-        gaussians = gsjax.from_points(loaded.points, loaded.point_colors, capacity=BUDGET)
-        step(gsjax.init(gaussians, optimizer), gsjax.read_views(loaded.train_frames[:1])[0], jax.random.key(0))

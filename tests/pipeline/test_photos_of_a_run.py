@@ -82,11 +82,29 @@ def test_with_exposure_of_each_photo_a_trained_photo_must_be_there_and_a_held_ou
     assert held_out(run) == [NAMES[0], NAMES[6]]
 
 
-def test_eval_keeps_the_split_of_the_manifest_and_names_what_is_gone(listed, tmp_path, capfd):
-    run = tmp_path / "run"
+def test_eval_refuses_a_place_without_the_photos_keeps_the_split_and_names_what_is_gone(listed, tmp_path, capfd):
+    run, other = tmp_path / "run", tmp_path / "other"
     pipeline.train(listed, run, SETTINGS)
-    split = json_files.read(run / "manifest.json")["split"]
-    assert split == {"train": [NAMES[n] for n in (1, 2, 4, 5, 7, 8)], "held_out": [NAMES[n] for n in (0, 3, 6)]}
+    shutil.copytree(listed, other)
+    meta = json_files.read(other / "transforms.json")
+    for frame in meta["frames"]:
+        path = other / frame["file_path"]
+        frame["file_path"] = f"images/IMG_{path.name}"
+        path.rename(other / frame["file_path"])
+    json_files.write(other / "transforms.json", meta)
+    for command, fault in (
+        (["train", "--out", str(run), "--resume", "--scene", str(other)], f"{other}: has none of the "),
+        (["eval", str(run), "--scene", str(other)], f"{other}: has none of the "),
+        (["train", "--out", "new", "--scene", str(other)], "--scene: is the new place of a run's data set"),
+        (["train", "--out", "new"], "SCENE: name the folder of the data set"),
+    ):
+        assert cli.main(command) == 2
+        assert fault in capfd.readouterr().err
+    manifest = Run.open(run).manifest
+    assert manifest["scene"] == str(listed)
+
+    expected = {"train": [NAMES[n] for n in (1, 2, 4, 5, 7, 8)], "held_out": [NAMES[n] for n in (0, 3, 6)]}
+    assert manifest["split"] == expected
     shutil.copy(listed / "images" / NAMES[1], listed / "images/000a.png")
     meta = json_files.read(listed / "transforms.json")
     meta["frames"].append({**meta["frames"][1], "file_path": "images/000a.png"})
@@ -123,26 +141,3 @@ def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp
     assert message in capfd.readouterr().err
     assert cli.main(["eval", str(run), "--scene", str(again), "--json", str(tmp_path / "scores.json")]) == 0
     assert json_files.read(tmp_path / "scores.json")["views"] == 1
-    assert cli.main(["train", "--out", str(run), "--resume", "--scene", str(again)]) == 0
-    assert cli.main(["train", "--out", str(run), "--resume"]) == 0
-
-
-def test_a_place_without_the_photos_of_the_run_is_refused_and_not_recorded(listed, tmp_path, capfd):
-    run, other = tmp_path / "run", tmp_path / "other"
-    pipeline.train(listed, run, SETTINGS)
-    shutil.copytree(listed, other)
-    meta = json_files.read(other / "transforms.json")
-    for frame in meta["frames"]:
-        path = other / frame["file_path"]
-        frame["file_path"] = f"images/IMG_{path.name}"
-        path.rename(other / frame["file_path"])
-    json_files.write(other / "transforms.json", meta)
-    for command, fault in (
-        (["train", "--out", str(run), "--resume", "--scene", str(other)], f"{other}: has none of the "),
-        (["eval", str(run), "--scene", str(other)], f"{other}: has none of the "),
-        (["train", "--out", "new", "--scene", str(other)], "--scene: is the new place of a run's data set"),
-        (["train", "--out", "new"], "SCENE: name the folder of the data set"),
-    ):
-        assert cli.main(command) == 2
-        assert fault in capfd.readouterr().err
-    assert Run.open(run).manifest["scene"] == str(listed)

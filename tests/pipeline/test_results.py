@@ -76,7 +76,7 @@ def test_the_true_mesh_is_its_own_floor_and_one_away_from_it_loses_no_other_figu
     assert line.startswith(f"{run}: its mesh ")
 
 
-def test_a_run_is_scored_at_other_sizes_of_its_photos(run):
+def test_a_run_is_scored_at_other_sizes_of_its_photos(run, capsys):
     figures = pipeline.evaluate(run, zooms=[1, 0.5])
     assert figures["psnr_zoom_1"] == figures["psnr"] and figures["ssim_zoom_1"] == figures["ssim"]
     assert 5 < figures["psnr_zoom_0.5"] != figures["psnr"]
@@ -86,6 +86,11 @@ def test_a_run_is_scored_at_other_sizes_of_its_photos(run):
         np.testing.assert_allclose(smaller.K[:2], frame.K[:2] / 2, rtol=1e-6)
         boxes = frame.pixels().image.astype(float).reshape(20, 2, 24, 2, 3).mean((1, 3))
         np.testing.assert_allclose(smaller.pixels().image, boxes, atol=0.51)
+    capsys.readouterr()
+    for zoom, fault in (("2", "there are none 2 times larger"), ("-1", "--zoom -1 is not a number above 0")):
+        assert cli.main(["eval", str(run), "--zoom", zoom]) == 2
+        message = capsys.readouterr().err
+        assert fault in message and message.count("\n") == 1
 
 
 def test_photos_that_were_damaged_since_are_left_out_of_the_scores_and_named(run, scene, tmp_path, capsys):
@@ -103,15 +108,6 @@ def test_photos_that_were_damaged_since_are_left_out_of_the_scores_and_named(run
     assert scores["views"] == 1 and scores["psnr"] == pytest.approx(alone, abs=1e-4)
     stderr = capsys.readouterr().err
     assert "scene/images/004.png: no such image; 2 of 9 photos are left out: 004.png, 008.png\n" in stderr
-
-
-@pytest.mark.parametrize(
-    ("zoom", "fault"), [("2", "there are none 2 times larger"), ("-1", "--zoom -1 is not a number above 0")]
-)
-def test_a_zoom_that_photos_do_not_allow_is_one_line(run, zoom, fault, capsys):
-    assert cli.main(["eval", str(run), "--zoom", zoom]) == 2
-    message = capsys.readouterr().err
-    assert fault in message and message.count("\n") == 1
 
 
 def test_pictures_of_held_out_photos_have_their_size_and_show_them_roughly(run, scene, tmp_path):

@@ -1,13 +1,10 @@
-"""A run is the same to the bit on any number of a CPU's threads, and beside another run of the same process."""
+"""A run is the same to the bit on one thread as on all of a CPU's, and beside another run of the same process."""
 
 import json
 import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-
-import pytest
-from trained_run import SETTINGS
 
 from gsjax import config, pipeline, runs
 from gsjax.settings import Settings
@@ -21,38 +18,26 @@ pipeline.train(scene, out, config.parse(Settings, json.loads(settings)))
 """
 
 
-SHORT = config.merge(
-    SETTINGS, {"schedule": {"phases": SETTINGS["schedule"]["phases"][:1]}, "rates": {"decay_steps": 30}}
-)
-"""The first phase of the run, with the programs that it compiled."""
-
-
-@pytest.fixture(scope="module")
-def reference(scene, tmp_path_factory):
-    """Has a thread for each core. After a resume: `test_training.py`."""
-    folder = tmp_path_factory.mktemp("same") / "run"
-    pipeline.train(scene, folder, config.parse(Settings, SHORT))
-    return folder
-
-
 def assert_same(one, other):
     assert (one / "gaussians.ply").read_bytes() == (other / "gaussians.ply").read_bytes()
     losses = [[record["loss"] for record in runs.read_metrics(folder)] for folder in (one, other)]
     assert losses[0] == losses[1] and losses[0]
 
 
-@pytest.mark.parametrize("threads", [1, pytest.param(4, marks=pytest.mark.long)])
-def test_any_number_of_threads(reference, scene, tmp_path, threads):
+def test_one_thread(first_phase, scene, tmp_path):
     """In a process of its own, which compiles its own programs."""
-    own = {"NPROC": str(threads), "JAX_ENABLE_COMPILATION_CACHE": "false"}
-    command = [sys.executable, "-c", PROGRAM, str(scene), str(tmp_path / "run"), json.dumps(SHORT)]
+    reference, settings = first_phase
+    own = {"NPROC": "1", "JAX_ENABLE_COMPILATION_CACHE": "false"}
+    command = [sys.executable, "-c", PROGRAM, str(scene), str(tmp_path / "run"), json.dumps(settings)]
     subprocess.run(command, env={**os.environ, **own}, check=True, capture_output=True)
     assert_same(tmp_path / "run", reference)
 
 
-def test_two_trainings_in_two_threads(reference, scene, tmp_path):
+def test_two_trainings_in_two_threads(first_phase, scene, tmp_path):
+    reference, settings = first_phase
+
     def train(name):
-        pipeline.train(scene, tmp_path / name, config.parse(Settings, SHORT))
+        pipeline.train(scene, tmp_path / name, config.parse(Settings, settings))
 
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(train, ("one", "other")))

@@ -1,18 +1,12 @@
 """The same with effects: what is told of them, and that nothing of them is left where there are none."""
 
-import shutil
-
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 from trained_run import SETTINGS, train_until_killed
 
 from gsjax import config, pipeline, runs
 from gsjax.io import json_files
-from gsjax.io.images import read_image, write_image
-from gsjax.metrics.photos import score_images
 from gsjax.runs.checkpoints import load_arrays
-from gsjax.runs.photo_effects import read_photo_effects
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.settings import Settings
 
@@ -44,11 +38,6 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     evaluated = pipeline.evaluate(whole)
     for name in scores:
         assert evaluated[name] == pytest.approx(summary[name], abs=1e-3), name
-    # With the looks of its own tracks in place of its neighbours', a photo has the score of those.
-    photo_effects, frames = read_photo_effects(whole), scene_of_run(whole).held_out_frames
-    own = photo_effects._replace(near_appearances=photo_effects.appearances)
-    same = score_images(open_result(whole).gaussians, frames, "white", photo_effects=own)
-    assert same["psnr_near_gains"] == same["psnr_track_gains"] == pytest.approx(summary["psnr_track_gains"], abs=1e-3)
     assert summary["psnr_near_gains"] != summary["psnr_track_gains"]
     photos = json_files.read(whole / "effects.json")["photos"]
     records = json_files.read(whole / "cameras.json")
@@ -73,22 +62,3 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))
     stored = [set(load_arrays(runs.latest_checkpoint(folder)[1])) for folder in (run, auto, whole)]
     assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
-
-
-def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(run, scene, tmp_path, capsys):
-    """The run's folder and those that read it know nothing of it, and the line says why."""
-    shutil.copytree(scene, tmp_path / "scene")
-    name = "007.png"  # what it shows others see too
-    photo, _ = read_image(tmp_path / "scene/images" / name)
-    soft = gaussian_filter(photo.astype(np.float64), (2, 2, 0)).astype(np.uint8)
-    write_image(tmp_path / "scene/images" / name, soft)
-    short = {"schedule": {"phases": [{"name": "vanilla", "steps": 2}]}}
-    settings = config.parse(Settings, config.merge(SETTINGS, short, {"effects": {"names": "blur"}}))
-    pipeline.train(tmp_path / "scene", tmp_path / "run", settings)
-    assert f"train: too blurred, left out: {name}\n" in capsys.readouterr().err
-    assert json_files.read(tmp_path / "run/manifest.json")["effects"]["left_out"] == [name]
-    left, whole = (
-        [record["name"] for record in json_files.read(each / "cameras.json")] for each in (tmp_path / "run", run)
-    )
-    assert set(whole) - set(left) == {name}
-    assert [frame.name for frame in scene_of_run(tmp_path / "run").frames] == left

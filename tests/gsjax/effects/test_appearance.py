@@ -40,11 +40,8 @@ def test_gains_that_follow_the_cameras_are_told_by_their_neighbours():
 
 def test_neither_the_unit_of_the_scene_nor_gains_of_held_out_photos_matter():
     frames, looks = ring()
-    grown = []
-    for frame in frames:
-        viewmat = frame.viewmat.copy()
-        viewmat[:3, 3] *= 1e3
-        grown.append(replace(frame, viewmat=viewmat))
+    unit = np.float32([[1, 1, 1, 1e3]] * 3 + [[1] * 4])
+    grown = [replace(frame, viewmat=frame.viewmat * unit) for frame in frames]
     other = {f.name: looks[f.name]._replace(log_gains=(9.0, 9.0, 9.0)) if f.held_out else looks[f.name] for f in frames}
     estimates, expected = as_near_photos(grown, other), as_near_photos(frames, looks)
     for name, look in expected.items():

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from photographed_wall import gains, radii2, relit, wall
+from photographed_wall import wall
 from small_scenes import camera_at
 from tolerances import assert_close
 
@@ -126,13 +126,6 @@ def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
     assert "background" in over_black.effects
     record = over_black.evidence["evidence"]["background"]
     assert record["on"] and record["note"].startswith("simulated: certain without validation; ")
-
-
-def test_what_cameras_do_to_a_laid_colour_makes_no_sky_of_it():
-    auto, stops = plan(Settings(model=Model(background="white"))), gains(wall(), 0.3)
-    white = painted(lambda y, x: np.full(3, 255))
-    photos = relit(white, lambda index, frame, x, y: stops[index] - 0.6 * radii2(frame, x, y))
-    assert set(choose_effects("auto", auto, photos, confirm).effects) == {"exposure", "vignetting"}
 
 
 def test_an_open_sky_is_seen_and_mattes_answer_it():

@@ -1,7 +1,6 @@
 """Every detector on a wall painted in closed form, on the built-in scene and on real photos."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -149,39 +148,11 @@ def test_what_cannot_be_judged_says_so():
     assert all("cannot be judged" in effects[name].note and not effects[name].on for name in unknown)
 
 
-def test_points_seen_once_say_nothing():
-    scene = wall()
-    tracks = scene.tracks()
-    _, first = np.unique(tracks.point, return_index=True)
-    once = replace(tracks, photo=tracks.photo[first], point=tracks.point[first], rays=tracks.rays[first])
-    assert len(first) < len(tracks.point) / 2
-    assert diagnose(replace(scene, tracks=lambda: once)).effects["exposure"].value is None
-
-
-@pytest.fixture(scope="module")
-def scene_folder(tmp_path_factory):
-    return built_in(tmp_path_factory.mktemp("data") / "scene", num_views=16, size=(64, 64))
-
-
-@pytest.mark.parametrize(("exposure", "corner"), [(0.0, 0.0), (0.3, -0.5)])
-def test_the_built_in_scene_gives_back_what_was_injected(scene_folder, exposure, corner):
-    scene = load_scene(scene_folder)
-    true = gains(scene, exposure, exposure / 3)
-    diagnosis = diagnose(relit(scene, lambda index, frame, x, y: true[index] + corner * radii2(frame, x, y)))
-    assert diagnosis.effects["exposure"].on == (exposure > 0)
-    assert diagnosis.effects["vignetting"].on == (corner < 0)
-    error = diagnosis.gains.fit.gains - true
-    # Photos of 64 pixels: 0.03 EV come of edges that the window mixes and of the noise of the points.
-    assert np.sqrt(np.square(error - error.mean(0)).mean()) < 0.06
-
-
 @pytest.mark.parametrize(
     ("name", "exposure", "vignetting"),
     [
         ("kitchen", 0.33, True),
         ("fern", 0.03, False),
-        pytest.param("fox", 0.32, False, marks=pytest.mark.long),
-        pytest.param("bunny_plane", 0.01, False, marks=pytest.mark.long),
     ],
 )
 def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetting):
@@ -201,21 +172,19 @@ def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetti
     assert blur.on and "all photos are blurred" in blur.note
 
 
-def test_the_command_prints_the_table_writes_file_and_pictures_and_judges_maps_of_normals(
-    scene_folder, tmp_path, capsys
-):
+def test_the_command_prints_the_table_writes_file_and_pictures_and_judges_maps_of_normals(tmp_path, capsys):
     """True maps are kept; those that face their cameras everywhere look plausible, and say nothing."""
-    copied, target = Path(shutil.copytree(scene_folder, tmp_path / "scene")), tmp_path / "out" / "found.json"
-    scene = load_scene(copied)
+    root, target = built_in(tmp_path / "scene", num_views=16, size=(64, 64)), tmp_path / "out" / "found.json"
+    scene = load_scene(root)
     for name in ("true", "facing"):
-        folder = copied / f"normals_{name}"
+        folder = root / f"normals_{name}"
         folder.mkdir()
         manifest = normal_folders.begin(folder, {"network": name})
         for frame in scene.frames:
             facing = -np.asarray(pixel_rays(frame_camera(frame)))
             normals = scene.truth.normals[frame.name]() if name == "true" else facing
             normal_folders.add(folder, manifest, frame.name, Path(frame.name).with_suffix(".npz"), normals, {})
-    assert cli.main(["diagnose", str(copied), "--json", str(target)]) == 0
+    assert cli.main(["diagnose", str(root), "--json", str(target)]) == 0
     *printed, head, facing_row, true_row = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [words[0] for words in printed[: len(EFFECTS) + 1]] == ["effect", *EFFECTS]
     assert head[:2] == ["normals", "decision"]
@@ -227,5 +196,5 @@ def test_the_command_prints_the_table_writes_file_and_pictures_and_judges_maps_o
     assert verdicts["normals_true"]["share"] > 0.95 and verdicts["normals_facing"]["share"] == 0
     assert all(photo["kept"] > 0.8 for photo in verdicts["normals_true"]["photos"].values())
     assert read_image(target.with_suffix(".png"))[0].std() > 10
-    assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2
+    assert cli.main(["diagnose", str(root), "--json", str(tmp_path / "found.png")]) == 2
     assert "must end in .json" in capsys.readouterr().err

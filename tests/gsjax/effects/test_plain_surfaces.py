@@ -1,17 +1,13 @@
 """Rooms with plain ceilings and walls have no sky; places under a sky that says where it is have one."""
 
-from dataclasses import replace
 from functools import cache
 
-import numpy as np
 import pytest
-from plain_places import DOUBTFUL, GLASS, ROOMS, SKIES, ceiling, room
-from plain_scenes import photograph, plaster
+from plain_places import DOUBTFUL, GLASS, ROOMS, SKIES
+from plain_scenes import photograph
 
-from gsjax.effects import parallax, sky
 from gsjax.effects.diagnosis import diagnose
 from gsjax.planning.effects import choose_effects
-from gsjax.scene import with_pixels
 from gsjax.settings import Settings
 from gsjax.training.plan import plan
 
@@ -68,25 +64,3 @@ def test_who_names_the_sky_gets_what_looks_like_one_though_evidence_is_missing()
     named = choose_effects("none", plan(Settings()), scene, with_sky=True).skies
     for frame, is_sky in zip(scene.frames, truth, strict=True):
         assert (named[frame.name] & is_sky).sum() > 0.8 * is_sky.sum()
-
-
-def test_a_fall_off_of_the_lens_on_a_flat_ceiling_is_no_sky():
-    """It stays in the picture, and is fitted beside every hypothesis."""
-    scene, _ = photograph(room(ceiling(plaster((0.8, 0.8, 0.8)))))
-    frames = []
-    for frame in scene.frames:
-        y, x = np.mgrid[: frame.height, : frame.width]
-        radii = ((x - 60) ** 2 + (y - 45) ** 2) / (60**2 + 45**2)
-        image = frame.pixels().image * (2 ** (-0.4 * radii))[..., None]
-        frames.append(with_pixels(frame, frame.pixels()._replace(image=image.astype(np.uint8))))
-    assert not diagnose(replace(scene, frames=tuple(frames))).effects["sky"].on
-
-
-@pytest.mark.parametrize(
-    ("near", "blueness", "blue_range", "is_sky"),
-    [(1.04, 0.95, 0.56, True), (0.97, 0.95, 0.56, False), (1.04, 0.95, 0.08, False), (1.04, 0.59, 0.56, False)],
-    ids=["a castle's sky", "a wall explains it better", "a blue of one colour", "a pale blue"],
-)
-def test_a_vivid_blue_is_a_sky_to_photos_of_nearly_one_place(near, blueness, blue_range, is_sky):
-    compared = parallax.Parallax(near, 0.78, 3.21, 0.1, blueness, blue_range)
-    assert (sky.score(compared) > 1.2) == is_sky

@@ -1,15 +1,19 @@
-"""What effects do to a picture, in closed form, and how fast they may learn."""
+"""What effects do to a picture, and the masks of what stood in one photo only: in closed form and at their bounds."""
+
+from functools import partial
+from itertools import product
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from small_scenes import camera_at
 from tolerances import assert_close
 
-from gsjax.effects import exposure, vignetting
+from gsjax.effects import exposure, transients, vignetting
 from gsjax.effects.appearance import Appearance, fit_colors, without_appearance
-from gsjax.effects.simulation import FINAL, HOLD, LIMIT, RATE, WARM_UP, learning_rate, photograph
+from gsjax.effects.simulation import LIMIT, learning_rate, mask_untrusted, photograph
 from gsjax.rendering import View
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.batches import Batch
@@ -114,18 +118,6 @@ def test_numbers_beyond_their_bounds_give_finite_values_and_gradients(size):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(brightness(numbers)))
 
 
-def test_rates_wait_warm_up_fall_and_pause_after_resets():
-    rate = RATE_OF_A_RUN
-    assert rate(0) == rate(HOLD) == 0
-    assert_close(rate(HOLD + 150), np.float32(RATE * 0.5 * FINAL ** ((HOLD + 150) / 3000)))
-    assert_close(rate(3000), np.float32(RATE * FINAL))
-    resetting = learning_rate(15000, reset_every=3000, resets_stop=9000)
-    paused = [step for step in range(1000, 15000, 100) if resetting(step) == 0]
-    assert paused == [3000, 3100, 3200, 6000, 6100, 6200, 9000, 9100, 9200]
-    assert WARM_UP > 0
-    assert learning_rate(30)(3) == 0 < learning_rate(30)(4)
-
-
 def test_the_fitted_colours_are_the_affine_map_where_there_is_one():
     rng = np.random.default_rng(0)
     colors, map_ = rng.random((8, 9, 3)).astype(np.float32), rng.random((3, 3))
@@ -133,3 +125,81 @@ def test_the_fitted_colours_are_the_affine_map_where_there_is_one():
     valid = rng.random((8, 9)) < 0.5
     assert_close(fit_colors(colors, np.where(valid[..., None], image, 9).astype(np.float32), valid), image)
     assert_close(fit_colors(colors, image, np.zeros((8, 9), bool)), colors)
+
+
+MASKS = {"transients": transients.make_effect(optax.constant_schedule(transients.RATE))}
+
+
+def batch_of(image, valid=None):
+    valid = np.ones((24, 32), bool) if valid is None else valid
+    return Batch(CAMERA, jnp.asarray(image, jnp.float32), jnp.asarray(valid), None, None, jnp.int32(0))
+
+
+def view_of(colors):
+    return View(jnp.asarray(colors, jnp.float32), jnp.ones((24, 32), jnp.float32), None, None)
+
+
+def grey(value=0.5):
+    return np.full((24, 32, 3), value, np.float32)
+
+
+def test_a_square_is_left_out_and_single_pixels_stay():
+    photo = grey()
+    photo[6:14, 8:18] = 0.9
+    photo[20, 3], photo[0, 0], photo[23, 31] = 0.0, 1.0, 1.0
+    is_trusted = np.asarray(
+        transients.trusted_pixels(np.float32(np.log(0.05)), jnp.asarray(grey()), jnp.asarray(photo))
+    )
+    square = np.zeros((24, 32), bool)
+    square[6:14, 8:18] = True
+    # Its four corners, of whose windows it fills 9 of 25, are kept; what is beside it never goes.
+    assert not is_trusted[7:13, 9:17].any()
+    assert is_trusted[~square].all()
+    assert (~is_trusted).sum() == square.sum() - 4 * 3
+    assert transients.trusted_pixels(MASKS["transients"].initial, jnp.asarray(grey()), jnp.asarray(photo)).all()
+
+
+def test_the_gradient_leads_to_the_quantile_and_the_value_is_zero():
+    rng = np.random.default_rng(0)
+    photo = grey() + rng.uniform(0, 0.3, (24, 32, 1)).astype(np.float32)
+    valid = rng.random((24, 32)) < 0.7
+    off = np.abs(photo - 0.5).mean(-1)[valid]
+
+    def added(number):
+        return mask_untrusted(MASKS, {"transients": number}, view_of(grey()), batch_of(photo, valid))[1]
+
+    slope_of = jax.jit(jax.value_and_grad(added))
+    for quantile in (0.05, 0.2, 0.29):
+        value, slope = slope_of(jnp.float32(np.log(quantile)))
+        above = np.mean(off > quantile)
+        assert value == 0
+        expected = np.float32((1 - transients.QUANTILE) * (1 - above) - transients.QUANTILE * above)
+        assert_close(slope, expected, kind="value", rtol=1e-4, atol=0, why="a sum of 500 numbers")
+
+
+def test_masks_of_the_user_come_first():
+    photo = grey()
+    photo[6:14, 8:18] = 0.9
+    valid = np.ones((24, 32), bool)
+    valid[:, 20:] = False
+    left, _ = mask_untrusted(MASKS, {"transients": jnp.float32(np.log(0.05))}, view_of(grey()), batch_of(photo, valid))
+    assert not left.valid[:, 20:].any()
+    assert not left.valid[8:12, 10:16].any()
+    assert left.valid[:5, :20].all()
+
+
+def test_hard_cases_in_value_and_gradient():
+    """Black and saturated photos, photos without a valid pixel, renders far beyond white, a quantile at either end."""
+    colors = grey(0.5)
+    colors[0, 0] = [1e30, -1e30, 0.5]
+
+    @jax.jit
+    @partial(jax.value_and_grad, argnums=(0, 1))
+    def added(number, colors, photo, valid):
+        return mask_untrusted(MASKS, {"transients": number}, view_of(colors), batch_of(photo, valid))[1]
+
+    for number, photo, is_valid in product((-1e30, -80.0, 0.0, 1e30), (0.0, 1.0), (True, False)):
+        value, slopes = added(jnp.float32(number), colors, grey(photo), np.full((24, 32), is_valid))
+        assert value == 0
+        assert np.isfinite(slopes[0]) and not np.any(slopes[1])
+        assert (slopes[0] != 0) == is_valid

@@ -24,7 +24,6 @@ from gsjax.runs.records import read_views
 from gsjax.runs.result import frame_camera, write_views
 from gsjax.scene import with_pixels
 from gsjax.scene.batches import decode, read_batches, with_skies
-from gsjax.scene.cameras import pixel_rays
 from gsjax.settings import EffectChoice, Model, Rates, Settings
 from gsjax.training.densification.gradient_driven import is_alive
 from gsjax.training.densification.rules import DENSIFICATION_RULES
@@ -131,18 +130,6 @@ def test_the_background_begins_with_the_colours_of_the_sky(sky_scene):
     sky_colors = np.asarray(jax.jit(backdrop.color_behind)(coefficients, frame_camera(scene.frames[0])))
     image = scene.frames[0].pixels().image / 255
     assert np.abs(sky_colors - image)[truth["00.png"]].mean() < 0.03  # its clouds are no harmonics
-
-
-def test_harmonics_are_fitted_exactly_where_colours_are_harmonics(sky_scene):
-    expected = backdrop.constant_coefficients(np.array([0.5, 0.4, 0.6]), 2)
-    expected[1:] = np.random.default_rng(4).normal(size=(8, 3)) * 0.05
-    camera = frame_camera(sky_scene[0].frames[0])
-    rays = np.asarray(pixel_rays(camera)) @ camera.viewmat[:3, :3]
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-    color_behind = jax.jit(lambda coefficients: backdrop.color_behind(coefficients, camera))
-    colors = np.asarray(color_behind(expected))
-    coefficients = backdrop.fitted_coefficients(rays.reshape(-1, 3), colors.reshape(-1, 3), 2, ridge=1e-9)
-    assert_close(np.asarray(color_behind(coefficients)), colors, atol=1e-3, rtol=0, why="a nearly flat ridge")
 
 
 def test_a_smaller_pixel_is_sky_where_all_of_it_is(sky_scene):

@@ -7,7 +7,6 @@ from run_folders import write_run
 from small_scenes import camera_at, discs
 from tolerances import assert_close
 
-from gsjax import cli
 from gsjax.errors import InputError
 from gsjax.gaussians import concatenate, take
 from gsjax.io import json_files
@@ -69,7 +68,7 @@ def test_planted_dirt_is_found_by_its_kind_nothing_else_is_and_all_of_it_comes_b
         undo(run)
 
 
-def test_a_cleaning_that_was_stopped_is_done_again_or_undone(run):
+def test_a_cleaning_that_was_stopped_is_done_again_or_undone_but_not_on_another_file(run):
     file, whole = run / "gaussians.ply", (run / "gaussians.ply").read_bytes()
     clean(run)
     cleaned = file.read_bytes()
@@ -79,25 +78,21 @@ def test_a_cleaning_that_was_stopped_is_done_again_or_undone(run):
     file.write_bytes(whole)
     assert undo(run)["back"] == 0
     assert file.read_bytes() == whole and not list(run.glob("*.original.*"))
+    clean(run)
+    write_gaussians(file, take(planted()[0], slice(None, None, -1)))
+    with pytest.raises(InputError, match="is not the file any more that"):
+        undo(run)
 
 
-def test_a_file_without_cameras_loses_what_hangs_on_nothing(run, tmp_path):
+def test_a_file_without_cameras_loses_what_hangs_on_nothing_and_lies_outside_a_crop(tmp_path):
     gaussians, kinds = planted()
-    bare, out = tmp_path / "bare.ply", tmp_path / "clean.ply"
+    bare, out, means = tmp_path / "bare.ply", tmp_path / "clean.ply", np.asarray(gaussians.means)
     write_gaussians(bare, gaussians)
     report = clean(bare, out)
     assert (report["isolated"], report["giants"]) == ((kinds == "isolated").sum(), 2)
     assert load_gaussians(bare).num_gaussians == len(kinds)
     assert load_gaussians(out).num_gaussians == (kinds == "scene").sum()
     assert report["picture"] is None
-    with pytest.raises(InputError, match="comes without cameras; --crop-to-cameras needs a run, or --scene"):
-        clean(bare, tmp_path / "other.ply", crop_to_cameras=True)
-
-
-def test_crops_keep_what_lies_inside(tmp_path):
-    gaussians, _ = planted()
-    bare, means = tmp_path / "bare.ply", np.asarray(gaussians.means)
-    write_gaussians(bare, gaussians)
     clean(bare, tmp_path / "half.ply", box=(-9, -9, 0, 9, 9, 9))
     assert (load_gaussians(tmp_path / "half.ply").means[:, 2] >= 0).all()
     report = clean(bare, tmp_path / "cap.ply", sphere=(0, 0, 1, 0.25))
@@ -107,15 +102,8 @@ def test_crops_keep_what_lies_inside(tmp_path):
     for wrong, message in (
         ({"sphere": (9, 9, 9, 1)}, "none of its .* would be left"),
         ({"box": (1, 0, 0, 0, 1, 1)}, "--box 1"),
+        ({"crop_to_cameras": True}, "comes without cameras; --crop-to-cameras needs a run, or --scene"),
     ):
         with pytest.raises(InputError, match=message):
             clean(bare, tmp_path / "none.ply", **wrong)
     assert not (tmp_path / "none.ply").exists()
-
-
-def test_undo_refuses_what_became_another_file(run):
-    clean(run)
-    write_gaussians(run / "gaussians.ply", take(planted()[0], slice(None, None, -1)))
-    with pytest.raises(InputError, match="is not the file any more that"):
-        undo(run)
-    assert cli.main(["clean", str(run), "--undo", "--box", "0", "0", "0", "1", "1", "1"]) == 2

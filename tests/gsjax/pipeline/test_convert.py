@@ -83,18 +83,14 @@ def test_a_file_without_gaussians_is_one_of_each_format(tmp_path, cloud, suffix)
     ("source", "out", "options", "message"),
     [
         ("in.ply", "out.splat", [], "out.splat: files of Gaussians end in .compressed.ply, .ply, .sog, .spz"),
-        ("photo.glb", "out.ply", [], "photo.glb: files of Gaussians end in"),
-        ("none.spz", "out.ply", [], "none.spz: no such file or folder"),
         ("short.spz", "out.ply", [], "short.spz: truncated or damaged"),
         ("in.ply", "in.ply/out.spz", [], "cannot write"),
-        ("in.ply", "out.spz", ["--sh-degree", "5"], "--sh-degree 5 is not between 0 and 4"),
         ("in.ply", "out.spz", ["--min-opacity", "nan"], "--min-opacity nan is not between 0 and 1"),
         ("in.ply", "out.spz", ["--crop", *"345912"], "--crop 3 4 5 9 1 2: a lower side is above its upper one"),
         ("in.ply", "out.spz", ["--crop", *"777888"], "in.ply: none of its 60 Gaussians is wanted by"),
     ],
 )
 def test_faults_are_one_line_and_leave_nothing(cloud, tmp_path, capsys, source, out, options, message):
-    (tmp_path / "photo.glb").write_bytes(b"glTF")
     convert(tmp_path / "in.ply", tmp_path / "short.spz")
     (tmp_path / "short.spz").write_bytes((tmp_path / "short.spz").read_bytes()[:-300])
     before = sorted(tmp_path.iterdir())

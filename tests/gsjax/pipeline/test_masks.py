@@ -147,10 +147,8 @@ def test_every_known_network_is_fed_and_read_as_its_record_says(tmp_path, networ
 
 REFUSED = {
     "unknown class": ({}, ["dog"], r"--classes dog: the network knows person, tree, sky"),
-    "no class": ({}, None, r"--classes: the network knows person, tree, sky; name those to mask out"),
     "four classes": ({"classes": [*CLASSES, "car"]}, ["car"], r"gives \[1, 3, 40, 60\], not a score for each of 4"),
     "two of one name": ({"classes": ["sky", "sky"]}, ["sky"], r"r.json: classes=sky, sky are none, or one .* twice"),
-    "labels of three channels": ({"kind": "labels"}, ["sky"], r"gives \[1, 3, 40, 60\] .* not a class, one value"),
     "no such output": ({"output": {"names": ["mask"]}}, ["sky"], r"w.onnx: gives no classes \(mask\); .* scores"),
 }
 

@@ -14,7 +14,6 @@ from run_folders import write_run
 from small_scenes import camera_at, plane
 from tolerances import assert_close
 
-from gsjax import cli
 from gsjax.errors import InputError
 from gsjax.io import files, json_files
 from gsjax.io.gaussian_files import load_gaussians
@@ -129,16 +128,3 @@ def test_where_nothing_was_triangulated_there_is_no_length(scene, monkeypatch):
     monkeypatch.setattr(scaling, "load_scene", lambda source: replace(empty, tracks=None))
     with pytest.raises(InputError, match="holds no triangulated points that photos see"):
         scale(scene, SPOTS, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--between", "a", "1", "2", "b", "3", "4", "--is", "0m"], "0m: not a length"),
-        (["--between", "a", "1", "2", "b", "3", "nan"], "--between: b 3 nan is not a photo and a pixel"),
-    ],
-)
-def test_wrong_options_are_one_line(arguments, message, capsys):
-    assert cli.main(["scale", "nowhere", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1

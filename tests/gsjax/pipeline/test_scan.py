@@ -6,13 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from gsjax import cli, config, pipeline
-from gsjax.binding.refinement import PRESETS, Refinement
+from gsjax import cli
+from gsjax.binding.refinement import Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.locks import lock_folder
 from gsjax.pipeline.scan import scan, table
-from gsjax.presets import PRESETS as TRAINING
 from gsjax.settings import Settings
 
 scanning = importlib.import_module("gsjax.pipeline.scan")  # The package's attribute of that name is the function.
@@ -132,6 +131,12 @@ def test_a_data_set_with_poses_is_not_reconstructed(stages, tmp_path):
 
 
 def test_a_folder_with_other_things_or_other_wishes_is_left_alone(stages, photos, tmp_path):
+    _, broken = stages
+    broken.add("sfm")
+    with pytest.raises(InputError, match="sfm has no room"):
+        scanned(photos, tmp_path / "scan", Settings(seed=1))  # It leaves no wishes that others could contradict.
+    assert not (tmp_path / "scan").exists()
+    broken.clear()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("kept")
     with pytest.raises(InputError, match="mine: this folder is not empty and holds no scan"):
@@ -160,25 +165,3 @@ def test_photos_are_reconstructed_as_sfm_would_and_a_resumed_scan_is_the_same(
     for other in (arguments[:4], [*arguments[:2], "50", *arguments[3:]], [*arguments[:-1], "b.onnx"]):
         assert cli.main(["scan", ".", "--out", out, *other]) == 2
     assert len(calls) == 5, "none of these did anything"
-
-
-def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
-    calls, broken = stages
-    broken.add("sfm")
-    with pytest.raises(InputError, match="sfm has no room"):
-        scanned(photos, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-    broken.clear()
-    scanned(photos, tmp_path / "out", Settings(seed=1))  # Other wishes: there is nothing they could contradict.
-    assert len(calls) == 6
-
-
-@pytest.mark.parametrize(("preset", "length"), [("quick", "fast"), ("accurate", "long"), ("paper_13k_7k", "medium")])
-def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
-    handed = []
-    report = {"stages": {"mesh": {"faces": 12}}, "mesh": "m", "picture": "p"}
-    monkeypatch.setattr(pipeline, "scan", lambda *args: handed.append(args) or report)
-    assert cli.main(["scan", "photos", "--out", "o", "--preset", preset, "--seed", "3"]) == 0
-    [(_, _, training, refinement)] = handed
-    assert refinement == config.parse(Refinement, {**PRESETS[length], "seed": 3})
-    assert training == config.parse(Settings, {**TRAINING[preset], "seed": 3})

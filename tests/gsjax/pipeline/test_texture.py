@@ -1,18 +1,14 @@
 """`gsjax texture` from files to files."""
 
-import shutil
-
 import meshes
 import numpy as np
 import pytest
 import small_scenes
 
-from gsjax import cli, config
+from gsjax import cli
 from gsjax.io import json_files, ply
 from gsjax.io.images import write_image
 from gsjax.meshing.export import read_textured, write_mesh
-from gsjax.pipeline.texture import known_background
-from gsjax.runs.result import open_result
 
 SIZE = 128
 
@@ -35,17 +31,6 @@ def folder(tmp_path_factory):
     json_files.write(folder / "cameras.json", records)
     write_mesh(folder / "grey.ply", meshes.turned(meshes.square(1, -1, 1, height=4.0, color=(128, 128, 128))))
     return folder
-
-
-def test_what_was_behind_the_gaussians_is_known_of_a_run_over_one_colour_alone(folder, tmp_path):
-    np.testing.assert_array_equal(known_background(open_result(folder)), np.ones(3))
-    assert known_background(open_result(folder / "gaussians.ply")) is None
-    over_random = shutil.copytree(folder, tmp_path / "run")
-    json_files.write(
-        over_random / "config.json",
-        config.merge(json_files.read(folder / "config.json"), {"model": {"background": "random"}}),
-    )
-    assert known_background(open_result(over_random)) is None
 
 
 def test_a_grey_mesh_gets_the_colours_of_the_gaussians(folder, tmp_path, capsys):
@@ -94,19 +79,3 @@ def test_where_photos_are_masked_the_mesh_keeps_its_own_colours(folder, tmp_path
     assert textured is not None
     assert np.all(np.abs(_color_at(textured, (-0.5, 0.2)).astype(int) - 128) <= 1)
     assert np.abs(_color_at(textured, (0.6, 0.2)) / 255 - [0.1, 0.2, 0.8]).max() < 0.05
-
-
-@pytest.mark.parametrize(
-    ("mesh", "options", "message"),
-    [
-        ("grey.ply", ["--out", "t.ply"], "t.ply: meshes with a texture end in .obj, .glb, .usdz"),
-        ("grey.ply", ["--out", "t.glb", "--size", "9000"], "--size 9000 is not between 64 and 8192"),
-        ("none.ply", ["--out", "t.glb"], "none.ply: no such mesh file"),
-    ],
-)
-def test_bad_input_is_one_line_and_code_2(folder, monkeypatch, capsys, mesh, options, message):
-    monkeypatch.chdir(folder)
-    before = sorted(folder.iterdir())
-    assert cli.main(["texture", str(folder), "--mesh", mesh, *options]) == 2
-    assert capsys.readouterr().err == f"gsjax: error: {message}\n"
-    assert sorted(folder.iterdir()) == before

@@ -86,13 +86,6 @@ def test_jpegs_stay_jpegs_and_other_formats_become_png(tmp_path):
         pipeline.undistort(scene, tmp_path / "never")
 
 
-def test_a_panorama_becomes_six_photos_of_one_split(tmp_path):
-    photos = {f"images/{i}.png": noise(20, 40, seed=i) for i in range(3)}
-    scene = write_transforms(tmp_path / "scene", photos, camera_model="EQUIRECTANGULAR")
-    assert pipeline.undistort(scene, tmp_path / "out")["images"] == 18
-    assert_same(load_scene(tmp_path / "out").frames, load_scene(scene).frames)
-
-
 def test_nothing_is_written_outside_or_left_half_done(tmp_path):
     scene = write_transforms(tmp_path / "scene", {"../photos/a.png": noise(), "images/b.png": noise()}, fl_x=50.0)
     before = (tmp_path / "photos/a.png").stat().st_mtime_ns

@@ -1,7 +1,6 @@
 """Budgets of time: what is read, what is scaled, what is chosen; on a clock of the test's own."""
 
 import re
-from argparse import ArgumentTypeError
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import is_alive
 from gsjax.planning import budget
 from gsjax.presets import LENGTHS, PRESETS
-from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
+from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings
 
 NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
 
@@ -24,13 +23,6 @@ def test_a_time_is_a_number_and_its_unit_and_anything_else_is_one_line():
     for text in ("10", "m", "", "-3m", "0s", "ten minutes", "10 m", "1e9h", "10d", "nan", "9" * 400 + "h"):
         with pytest.raises(InputError, match=r"^[^\n]*not a time, such as 90s, 10m or 1.5h[^\n]*$"):
             parsers.seconds(text)
-
-
-def test_a_count_is_one_at_least():
-    assert parsers.count("12") == 12
-    for text in ("0", "-1", "1.5", "", "two"):
-        with pytest.raises(ArgumentTypeError, match=f"^{text}: not a whole number of at least 1$"):
-            parsers.count(text)
 
 
 def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
@@ -151,10 +143,3 @@ def test_the_first_twenty_steps_of_each_phase_are_timed_and_the_compiling_ones_l
     assert phases == [(0, 20, 0), (20, 40, 0), (40, 60, 0)]
     assert trial.plan.density.start > 60 and 0 < len(trial.frames) <= 8
     assert int(is_alive(state.gaussians).sum()) == state.gaussians.num_gaussians == 300
-
-
-def test_a_run_with_normals_and_depth_is_measured_and_nothing_multiplies():
-    phases = (Phase("b", 100, Weights(dssim=0.0, pixel_normal=0.1), density_control=True),)
-    settings = SETTINGS.replace(schedule={"phases": phases}, supervision={"depth": "folder"})
-    whole, compiling = budget.measure(wall(5, num_points=40), settings)
-    assert whole > 0 and compiling > 0

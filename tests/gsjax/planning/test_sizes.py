@@ -1,15 +1,20 @@
+"""Photos that a run reads: at which size, and in which memory."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from photographed_wall import wall
 
-from gsjax.planning import pace
-from gsjax.planning.pace import Pace, seconds_left
+from gsjax.errors import InputError
+from gsjax.io.temporary_files import ArraysOnDisk
+from gsjax.planning import memory
+from gsjax.planning.memory import fit_to_memory
+from gsjax.planning.preparation import read_photos
 from gsjax.planning.sizes import chosen_downscale
-from gsjax.scene import Frame
-from gsjax.settings import Phase, Photos, Schedule, Settings, Weights
+from gsjax.scene import Frame, in_memory, with_pixels
+from gsjax.settings import Model, Phase, Photos, Schedule, Settings, Weights
 from gsjax.training.plan import plan
-from gsjax.training.terms import weigh_terms
 
 EYE = np.eye(4, dtype=np.float32)
 
@@ -38,29 +43,39 @@ def test_the_size_is_the_users_or_what_the_largest_photo_and_the_machine_bear(si
 PHASES = (Phase("coarse", 100, image_scale=2), Phase("vanilla", 200), Phase("surface", 50, Weights(sdf_normal=0.1)))
 
 
-def test_what_is_left_scales_with_the_pixels_and_the_terms_of_each_phase():
-    planned = plan(Settings(schedule=Schedule(phases=PHASES)))
-    coarse, vanilla, surface = planned.phases
-    assert seconds_left(planned, 100, vanilla, 0.5) == pytest.approx(0.5 * (200 + 2 * 50))
-    assert seconds_left(planned, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 2 * 50))
-    assert seconds_left(planned, 300, surface, 1.0) == pytest.approx(50)
-    rarely = replace(planned, phases=(coarse, vanilla, replace(surface, surface_every=4)))
-    assert seconds_left(rarely, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 1.25 * 50))
-    smaller = replace(planned, phases=(coarse, vanilla, replace(surface, surface_every=4, surface_scale=2)))
-    of_dear = 2 * (pace.FIXED_COST + (1 - pace.FIXED_COST) / 4)
-    assert seconds_left(smaller, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + (0.75 + 0.25 * of_dear) * 50))
-    lying = replace(planned, phases=(coarse, vanilla, replace(surface, terms=weigh_terms({"depth_normal": 0.1}))))
-    assert seconds_left(lying, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 1.6 * 50))
-    quarter = pace.FIXED_COST + (1 - pace.FIXED_COST) / 4
-    assert seconds_left(planned, 20, coarse, quarter) == pytest.approx(80 * quarter + 200 + 2 * 50)
+PIXELS, MASKED = 1000 * 800, 2
+FRAMES = [replace(photo(1000, 800), name=f"{i}.jpg", masked=i < MASKED) for i in range(100)]
+PLAN = plan(Settings(schedule=Schedule(phases=PHASES), model=Model(max_gaussians=1_000_000)))
+PHOTOS, NORMALS = 3 * 100 * PIXELS + MASKED * PIXELS, 3 * 100 * PIXELS
+GAUSSIANS = memory.A_ROW * 1_000_000
+STEP = memory.PROGRAMS + memory.A_PIXEL * PIXELS
 
 
-def test_a_phase_is_timed_once_after_its_first_steps(monkeypatch):
-    clock = iter(np.arange(0, 1000, 0.25))
-    monkeypatch.setattr(pace.time, "perf_counter", lambda: float(next(clock)))
-    timer = Pace()
-    phases = plan(Settings(schedule=Schedule(phases=PHASES))).phases
-    times = [timer.seconds_per_step(phase) for phase in phases for _ in range(30)]
-    steps = [i for i, seconds in enumerate(times) if seconds is not None]
-    assert steps == [pace.UNTIMED + pace.TIMED - 1 + 30 * phase for phase in range(3)]
-    assert {times[i] for i in steps} == {0.25 / pace.TIMED}
+def fitted(monkeypatch, folder, free, *, may_lower=True):
+    monkeypatch.setattr(memory, "free_memory", lambda: int(free))
+    monkeypatch.setattr(memory, "computes_on_cpu", lambda: True)
+    return fit_to_memory(PLAN, FRAMES, folder, may_lower=may_lower)
+
+
+def test_photos_go_to_the_disk_before_gaussians_are_fewer(tmp_path, monkeypatch):
+    planned, keep, lines = fitted(monkeypatch, tmp_path, STEP + GAUSSIANS + 1)
+    assert planned is PLAN and isinstance(keep, ArraysOnDisk)
+    [line] = lines
+    assert f"photos and maps take {(PHOTOS + NORMALS) / 2**30:.3g} and Gaussians" in line and "from the disk" in line
+
+
+def test_gaussians_are_as_many_as_fit_and_a_run_that_goes_on_keeps_its_number(tmp_path, monkeypatch):
+    free = STEP + GAUSSIANS - memory.A_ROW * 400_000
+    planned, _, lines = fitted(monkeypatch, tmp_path, free)
+    assert planned.max_gaussians == pytest.approx(600_000, abs=1)
+    assert lines[1] == f"memory: at most {planned.max_gaussians:,} Gaussians, instead of max_gaussians=1,000,000"
+    assert fitted(monkeypatch, tmp_path, free, may_lower=False).plan is PLAN
+    assert fitted(monkeypatch, tmp_path, 0).plan.max_gaussians == memory.FEWEST
+
+
+def test_masks_that_leave_nothing_are_refused():
+    scene = wall(3)
+    bare = [with_pixels(f, f.pixels()._replace(valid=np.zeros((f.height, f.width), np.uint8))) for f in scene.frames]
+    assert len(read_photos(replace(scene, frames=(*bare[:2], scene.frames[2])), in_memory).frames) == 3
+    with pytest.raises(InputError, match="wall: its masks leave no pixel of any photo"):
+        read_photos(replace(scene, frames=tuple(bare)), in_memory)

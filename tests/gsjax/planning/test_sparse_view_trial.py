@@ -97,27 +97,6 @@ def test_unsure_trials_keep_every_photo_once_in_both_ways(trial_log, scene):
     assert result[2:] == (None, None)
 
 
-def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, tmp_path):
-    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")
-    (tmp_path / "two.ply").write_text(f"{header}end_header\n0 0 0\n1 0 0\n", encoding="utf-8")
-    starts, matches = [], []
-
-    def score(way, scene, depths, settings, matched, observe):
-        starts.append(scene.points)
-        matches.append(matched)
-        return [Score(0.0, None)] * 2
-
-    monkeypatch.setattr(sparse_view_trial, "score_variant", score)
-    last = len(scene.points) - 1
-    tracks = Tracks((scene.frames[0].name,), np.zeros(2, int), np.array([0, last]), np.zeros((2, 2)))
-    settings = SETTINGS.replace(model={"points": str(tmp_path / "two.ply")})
-    gain(replace(scene, tracks=lambda: tracks), settings, forgetful)
-    expected = scene.similarity.points_to_local(np.array([[0.0, 0, 0], [1, 0, 0]]))
-    assert len(starts) > 0
-    assert all(np.allclose(points, expected) for points in starts)
-    assert all(np.array_equal(each[scene.frames[0].name], scene.points[[0, last]]) for each in matches), "not of these"
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("ratio", [None, 0.5, 2.0])
 def test_sure_trials_end_where_depth_does_not_contradict_them(trial_log, scene, sign, ratio):

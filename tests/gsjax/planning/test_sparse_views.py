@@ -1,6 +1,6 @@
 """Photos on an arc around a few points, so many degrees apart."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -112,14 +112,3 @@ def test_many_photos_side_by_side_and_short_runs_are_not_tried():
     assert is_tried(FEW + 1, FAR_APART + 1, SHORTEST)
     assert not is_tried(FEW, 4.0, SHORTEST - 1)
     assert not is_tried(FEWEST - 1, FAR_APART + 1, SHORTEST)
-
-
-@pytest.mark.parametrize("gain", [None, -0.4])
-def test_a_run_that_goes_on_is_as_it_was_decided(gain):
-    error, was_held = None if gain is None else 0.1, gain is None or gain > 0
-    record = asdict(Decision(PHOTOS, 30.0, gain, error, held_back=was_held))
-    final_plan, decision = for_sparse_views(
-        PLAN, arc(4.0), SETTINGS.schedule, trial=never, before=record, may_lower=False
-    )
-    assert asdict(decision) == record
-    assert final_plan == (regularize(PLAN, may_lower=False) if was_held else PLAN)

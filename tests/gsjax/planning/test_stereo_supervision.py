@@ -1,4 +1,4 @@
-"""Which stereo depth and normals supervise a run, and what a resumed run reads of them."""
+"""Where photos agree about depth: points that a run starts with, what supervises it, and what a resumed one reads."""
 
 from dataclasses import replace
 
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from photographed_wall import wall
 
+from gsjax.planning import start
 from gsjax.planning import stereo_supervision as module
 from gsjax.planning.stereo_supervision import stereo_supervision
-from gsjax.settings import Schedule, Settings, Supervision
-from gsjax.stereo import PhotoDepths, StereoMap, write_stereo_maps
+from gsjax.settings import Model, Schedule, Settings, Supervision
+from gsjax.stereo import PhotoDepths, StereoMap, StereoPoints, depths_of_photos, write_stereo_maps
 from gsjax.training.plan import plan
 
 SCENE = wall(3)
@@ -64,11 +65,6 @@ def test_nothing_is_compared_where_nothing_asks_for_it(swept, settings):
     assert not swept and not supervision.maps and supervision.depths(SCENE.frames) is None
 
 
-def test_photos_that_were_never_matched_have_no_stereo():
-    supervision = stereo_supervision(replace(SCENE, tracks=None), ASKED, None)
-    assert not supervision.maps and supervision.depths(SCENE.frames) is None
-
-
 def test_a_resumed_run_reads_its_own_maps_or_has_none_and_compares_nothing(swept, tmp_path):
     assert not stereo_supervision(SCENE, ASKED, tmp_path).maps
     write_stereo_maps(tmp_path, MAPS)
@@ -77,9 +73,19 @@ def test_a_resumed_run_reads_its_own_maps_or_has_none_and_compares_nothing(swept
     np.testing.assert_array_equal(supervision.maps[SCENE.frames[0].name].depth, DEPTH)
 
 
-def test_the_term_of_depth_is_in_every_phase_until_there_is_no_depth():
-    planned = plan(ASKED)
-    weights = [{each.name: each.weight for each in phase.terms} for phase in planned.phases]
-    assert weights and all(each["measured_depth"] == 0.3 for each in weights)
-    assert "measured" in planned.needs and "measured" not in planned.without("measured").needs
-    assert planned.without("measured") == plan(Settings())
+def fake_points(scene, count):
+    return StereoPoints(np.ones((count, 3), np.float32), np.full((count, 3), 7, np.uint8), f"{count} more")
+
+
+def test_points_come_after_the_scenes_own_and_are_half_of_the_budget_at_most(monkeypatch):
+    scene = wall(3, num_points=100)
+    depths, planned = depths_of_photos(scene), plan(Settings(model=Model(stereo_points=50, max_gaussians=900)))
+    monkeypatch.setattr(start, "stereo_points", fake_points)
+    more, lines = start.with_stereo_points(scene, planned, lambda: depths)
+    assert lines == ("50 more",)
+    np.testing.assert_array_equal(more.points, np.concatenate([scene.points, np.ones((50, 3), np.float32)]))
+    np.testing.assert_array_equal(more.point_colors[100:], np.full((50, 3), 7, np.uint8))
+    assert more.points.dtype == np.float32 and more.point_colors.dtype == np.uint8
+    assert replace(more, points=scene.points, point_colors=scene.point_colors) == scene, "tracks keep their numbers"
+    more, _ = start.with_stereo_points(scene, replace(planned, stereo_points=500), lambda: depths)
+    assert len(more.points) - len(scene.points) == 450

@@ -1,13 +1,11 @@
-import jax
 import numpy as np
 import pytest
-from small_scenes import camera_at, cloud, plane
+from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 import rasterizer
 from gsjax.gaussians import opacities, scales, sh_coefficients
 from gsjax.rendering import MIN_COVERAGE, gallery
-from gsjax.scene.cameras import Camera
 
 BACKGROUND = np.array([0.1, 0.9, 0.4])
 CAMERAS = [
@@ -53,14 +51,6 @@ def test_owners_are_the_medians_of_the_reference(scene_and_pictures):
     np.testing.assert_allclose(depths, info["median_depths"][0, ..., 0], rtol=1e-6)
 
 
-def test_colours_are_clipped_and_numpy_scenes_will_do():
-    bright = plane((0.0, 0.0, -1.0), per_side=4, spacing=1.0, colors=np.tile([3.0, -2.0, 0.5], (16, 1)))
-    as_numpy = jax.tree.map(np.asarray, bright)
-    camera = Camera(np.asarray(CAMERAS[0].viewmat), np.asarray(CAMERAS[0].K), 24, 20)
-    (picture,) = gallery.pictures(as_numpy, [camera], np.zeros(3))
-    assert picture.colors.min() == 0 and picture.colors.max() == 1
-
-
 def test_masked_pictures_show_nothing_where_the_photo_does_not_count(scene_and_pictures):
     valid = np.random.default_rng(0).random((20, 24)) > 0.4
     first, second = gallery.mask_pictures(iter(scene_and_pictures[1]), iter([valid, None]))
@@ -69,14 +59,3 @@ def test_masked_pictures_show_nothing_where_the_photo_does_not_count(scene_and_p
         np.testing.assert_array_equal(after[valid], before[valid])
         assert (after[~valid] == nothing).all()
     assert second is scene_and_pictures[1][1]
-
-
-def test_scenes_that_need_about_as_many_pairs_share_a_program(monkeypatch):
-    monkeypatch.setattr(gallery, "_compiled", set())
-    monkeypatch.setattr(gallery, "resolve", lambda backend: "native")
-    first = gallery._capacity(1000)
-    assert first >= 2000, "a longer buffer costs the loops nothing"
-    assert [gallery._capacity(needed) for needed in (500, 1100, first)] == 3 * [first]
-    assert gallery._capacity(first + 1) > first
-    assert gallery._capacity(10) < first, "memory is not wasted on what needs a hundredth"
-    assert gallery._capacity(10**9) == rasterizer.capacity_bucket(10**9), "nor does a long one outgrow its index"
