@@ -29,8 +29,3 @@ def test_the_demo_is_what_the_command_trains(script):
 def test_unknown_names_are_answered_with_the_nearest(script):
     with pytest.raises(InputError, match="no config 'foxx'; the nearest is 'fox'"):
         script.load_settings("foxx")
-    with pytest.raises(
-        InputError,
-        match="--set: unknown key 'schedule.phases.0.step'; the nearest known one is 'schedule.phases.0.steps'",
-    ):
-        script.load_settings("fox", ["schedule.phases.0.step=3"])
