@@ -16,7 +16,7 @@ from scenes import loss
 from small_scenes import camera_at, cloud, photographed
 
 import rasterizer
-from gsjax import rendering
+from gsjax import gaussians, rendering
 from gsjax.analytic import solids
 from gsjax.binding import bound as binding
 from gsjax.binding import refinement
@@ -129,6 +129,7 @@ FEW, DEPTH = cloud(30, seed=1), jnp.full((24, 32), 3.0)
 PHOTO = jnp.full((24, 32, 3), 0.5)
 FUNCTIONS = {
     "render": lambda: (partial(rendering.render, capacity=4096, with_depth=True), FEW, CAMERAS[0]),
+    "covariances": lambda: (gaussians.covariances, FEW),
     "stages of gsplat": lambda: (stages_of_gsplat, rasterizer_scene()),
     "depth normals": lambda: (from_depth.depth_normals, DEPTH, CAMERAS[0]),
     "density": lambda: (density_field.density_gradient, FEW.means[0], density_field.kernels(FEW)),
