@@ -20,8 +20,7 @@ def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
 
         for _ in range(2):
             halved(values)
-        (record,) = [one for one in listener.drain() if one["program"] == "halved"]
-        assert record["seconds"] >= 0
+        assert [one["program"] for one in listener.drain()].count("halved") == 1
         assert listener.drain() == []
     jax.jit(lambda x: x - 3)(values)
     assert listener.drain() == []
