@@ -1,34 +1,29 @@
 """The numbers of the paper and of what it builds on, each with its source and the place where this project has it.
 
-A number that the code has inside is read from what it does. "Paper" is its source text, "3DGS" the authors' code of
-3D Gaussian Splatting, "SuGaR" the code that the paper starts from.
+"Paper" is its source text, "3DGS" the authors' code of 3D Gaussian Splatting, "SuGaR" the code that the paper starts
+from.
 """
 
 import importlib
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
 
-import jax
-import jax.numpy as jnp
-import numpy as np
 import pytest
-from small_scenes import cloud
 
 from gsjax import config, pipeline
 from gsjax.binding import refinement
 from gsjax.binding.refinement import PRESETS as REFINEMENTS
 from gsjax.binding.refinement import Refinement
-from gsjax.gaussians import opacities
 from gsjax.meshing import level_set, poisson
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.presets import PRESETS, REFINED_BY
 from gsjax.settings import MEANS_FINAL, Density, Rates, Settings
-from gsjax.training import initialize
 from gsjax.training.densification import gradient_driven
-from gsjax.training.optimizers import apply_gradients, make_optimizer
-from rasterizer import GSPLAT, similarity
+from gsjax.training.initialize import from_points
+from rasterizer import GSPLAT, adam, similarity
 
 
 class Constant(NamedTuple):
@@ -77,30 +72,8 @@ def image_weights(settings: Settings) -> set[tuple[float, float]]:
     return {(phase.weights["l1"], phase.weights["dssim"]) for phase in settings.schedule.phases}
 
 
-def rounded(value: Any) -> float:
-    """To six digits, which float32 has."""
-    return float(f"{float(value):.6g}")
-
-
-def adam_epsilon() -> float:
-    """From Adam's first step, rate * g / (g + epsilon), at a tiny gradient g."""
-    scene, tiny, rate = cloud(1), np.float32(1e-15), 2.0
-    optimizer = make_optimizer(Rates(opacities=rate), 1.0, 1)
-    gradients = jax.tree.map(lambda x: jnp.full_like(x, tiny), scene)
-    moved, _ = apply_gradients(optimizer, scene, optimizer.init(scene), gradients, jnp.bool_(False))
-    step = float(scene.logit_opacities[0] - moved.logit_opacities[0])
-    return float(f"{tiny * (rate / step - 1):.1g}")
-
-
-def first_opacity() -> float:
-    points = np.eye(3, dtype=np.float32)
-    first = initialize.from_points(points, np.zeros((3, 3), np.uint8), capacity=3, sh_degree=0)
-    return rounded(opacities(first)[0])
-
-
-def reset_to() -> float:
-    """What an opaque Gaussian is reset to by the default limit."""
-    return rounded(opacities(gradient_driven.reset_opacities(cloud(1), gradient_driven.RESET_OPACITY))[0])
+def default(function: Callable[..., Any], parameter: str) -> Any:
+    return inspect.signature(function).parameters[parameter].default
 
 
 def meshed(schedule: str) -> dict[str, Any]:
@@ -154,8 +127,8 @@ CONSTANTS = (
     Constant("rates of colour", (2.5e-3, 2.5e-3 / 20), DGS, lambda: (Rates().sh_dc, Rates().sh_rest)),
     Constant("rates of opacity, scale, rotation", (0.05, 0.005, 0.001), DGS,
              lambda: (Rates().opacities, Rates().scales, Rates().quats)),
-    Constant("Adam's epsilon", 1e-15, "3DGS, scene/gaussian_model.py", adam_epsilon),
-    Constant("first opacity", 0.1, "3DGS, scene/gaussian_model.py", first_opacity),
+    Constant("Adam's epsilon", 1e-15, "3DGS, scene/gaussian_model.py", lambda: default(adam, "eps")),
+    Constant("first opacity", 0.1, "3DGS, scene/gaussian_model.py", lambda: default(from_points, "opacity")),
     Constant("harmonics", (3, 1000), DGS, lambda: (Settings().model.sh_degree, Settings().schedule.sh_every)),
     Constant("densified from, until, every", (500, 15_000, 100), DGS,
              lambda: (Density().start, Density().stop, Density().every)),
@@ -166,7 +139,7 @@ CONSTANTS = (
     Constant("size prunes after", (False, True), "3DGS, train.py",
              lambda: tuple(gradient_driven.prunes_large(Density(), step) for step in (3000, 3001))),
     Constant("opacity that is pruned", 0.005, "3DGS, train.py", lambda: gradient_driven.MIN_OPACITY),
-    Constant("opacities are reset to", 0.01, "3DGS, reset_opacity", reset_to),
+    Constant("opacities are reset to", 0.01, "3DGS, reset_opacity", lambda: gradient_driven.RESET_OPACITY),
     Constant("opacities are reset every", 3000, DGS, lambda: Density().reset_every),
     # Those of blending: `tests/rasterizer` holds what they do.
     Constant("alpha: at most, least, and the transmittance that ends a pixel", (0.99, 1 / 255, 1e-4),

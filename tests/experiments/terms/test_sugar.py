@@ -119,7 +119,6 @@ HARD = {
     "opacity 0": replace(WALL, logit_opacities=jnp.full(COUNT, -200, jnp.float32)),
     "needles": replace(WALL, log_scales=jnp.tile(jnp.asarray([[-18.0, 1.0, -18.0]]), (COUNT, 1))),
     "collapsed": replace(WALL, log_scales=jnp.full((COUNT, 3), -90.0)),
-    "huge": replace(WALL, log_scales=jnp.full((COUNT, 3), 20.0)),
     "no rotation": replace(WALL, quats=jnp.zeros((COUNT, 4))),
     "at the camera": replace(WALL, means=WALL.means * jnp.asarray([[1.0, 1.0, 0.0]])),
     "behind": replace(WALL, means=-WALL.means),
