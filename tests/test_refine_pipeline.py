@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from small_scenes import camera_at, plane
 
 from gsjax import cli, config, pipeline, runs
-from gsjax.binding import refinement
 from gsjax.binding.refinement import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files, photos
@@ -131,18 +129,6 @@ def test_gaussians_of_the_run_stay_where_there_is_no_mesh(place, refined):
     assert refined.report["free"] == len(free) == len(set(stayed))
     assert set(np.flatnonzero(reach > 1.5)) <= set(stayed) and reach[stayed].min() > 0.7
     assert after.pixel_filter == "mip" and after.sh_rest.shape[1] == 3
-
-
-def test_without_free_gaussians_those_of_the_run_need_not_be_there(place, tmp_path, monkeypatch):
-    run = tmp_path / "run"
-    shutil.copytree(place.run, run)
-    (run / "gaussians.ply").unlink()
-    with pytest.raises(InputError, match="holds no gaussians.ply"):
-        pipeline.refine(run, tmp_path / "out", SETTINGS)
-    monkeypatch.setattr(refinement, "refine", lambda settings, graph, data, state, *rest, **more: state)
-    monkeypatch.setitem(pipeline.refine.__globals__, "_write", lambda *arguments: arguments[2])
-    hybrid = pipeline.refine(run, tmp_path / "out", replace(SETTINGS, keep_free=False))
-    assert hybrid.free is None and hybrid.num_gaussians == BOUND
 
 
 def test_a_stopped_refinement_goes_on_to_the_same_bytes(place, refined, tmp_path):

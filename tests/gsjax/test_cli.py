@@ -10,11 +10,6 @@ from gsjax.settings import Phase, Schedule, Settings
 
 pytestmark = pytest.mark.usefixtures("own_environment")
 
-COMMANDS = (
-    "demo", "scan", "sfm", "normals", "masks", "train", "mesh", "refine", "texture", "eval", "render", "report",
-    "compare", "view", "share", "undistort", "convert", "scale", "clean", "doctor",
-)  # fmt: skip
-
 
 def train_settings(library, *arguments):
     assert cli.main(["train", "scene", *arguments]) == 0
@@ -23,7 +18,7 @@ def train_settings(library, *arguments):
     return settings, keywords
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", cli.COMMANDS)
 def test_the_help_of_a_command_has_an_example_that_parses(command, capsys):
     assert cli.main([command, "--help"]) == 0
     text = capsys.readouterr().out

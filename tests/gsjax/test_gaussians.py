@@ -52,10 +52,3 @@ def test_covariances_are_those_that_the_paper_prints():
     ):
         S = np.diag(np.exp(log_scales))
         assert_close(covariance, R @ S @ S.T @ R.T)
-
-
-def test_take_picks_the_same_rows_of_every_field():
-    by_index, by_mask = g.take(SCENE, np.array([1, 4])), g.take(SCENE, np.arange(7) % 3 == 1)
-    assert_close(by_index, by_mask)
-    assert by_index.num_gaussians == 2
-    assert_close(by_index.sh_rest[1], SCENE.sh_rest[4])
