@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-
-
 sys.path.insert(0, str(EXPERIMENTS))
 
 

@@ -147,8 +147,3 @@ def test_keys_without_a_group_are_refused_with_the_key_of_today(flat, now):
     for make in (lambda: Settings(**flat), lambda: preset("fast", flat), lambda: as_record(Settings, flat)):
         with pytest.raises(InputError, match=f": {now}$"):
             make()
-
-
-def test_a_table_changes_the_fields_of_a_group_that_it_names():
-    settings = preset("fast").replace(model={"max_gaussians": 9}, seed=3)
-    assert settings == preset("fast", {"model": {"max_gaussians": 9}, "seed": 3})
