@@ -10,14 +10,13 @@ from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
-ON_DEVICE = os.environ.get("GSJAX_TEST_GPU") == "1"
-if not ON_DEVICE:
+if os.environ.get("GSJAX_TEST_GPU") != "1":
     os.environ["JAX_PLATFORMS"] = "cpu"
 # Tests compile much and run little: XLA's older emitters, and LLVM without its optimisations, take a third of the time
 # for the first and are slower at the second. Programs in one piece take two thirds of the memory mappings, which run
 # out (below). `XLA_FLAGS= make test` tests the programs that users run. An XLA that does not know a flag ends the
 # process, so only where it was seen to.
-if ON_DEVICE:  # Some tests compare bits: sums by atomics come in any order.
+if os.environ.get("GSJAX_TEST_GPU") == "1":  # Some tests compare bits: sums by atomics come in any order.
     os.environ.setdefault("XLA_FLAGS", "--xla_gpu_deterministic_ops=true")
 elif version("jaxlib").startswith("0.10."):
     quick = "cpu_use_fusion_emitters=false", "backend_optimization_level=0", "llvm_disable_expensive_passes=true"
@@ -30,6 +29,7 @@ from hard_cases_page import HardCases
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+ON_DEVICE = os.environ.get("GSJAX_TEST_GPU") == "1"
 
 
 def pytest_addoption(parser):
