@@ -85,9 +85,8 @@ def test_effects_are_named_in_any_order_and_unknown_ones_are_refused():
 def test_rates_that_no_file_told_are_held_to_the_same():
     with pytest.raises(ValueError, match="opacities=inf is not a finite number"):
         Rates(opacities=float("inf"))
-    for seed in (-1, 2**32):
-        with pytest.raises(ValueError, match=f"seed={seed} is not between 0 and 4294967295"):
-            Refinement(seed=seed)
+    with pytest.raises(ValueError, match="seed=4294967296 is not between 0 and 4294967295"):
+        Refinement(seed=2**32)
 
 
 def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
