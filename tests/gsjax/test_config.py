@@ -65,7 +65,6 @@ def test_defaults_and_nested_values():
     ("data", "message"),
     [
         ({"sead": 1}, "config: unknown key 'sead'; the nearest known one is 'seed'"),
-        ({"kind": "l1"}, "config: unknown key 'kind'; the nearest known one is 'loss.kind'"),
         (
             {"phases": [{"name": "a"}, {"name": "b", "step": 1}]},
             "config: unknown key 'phases.1.step'; the nearest known one is 'phases.1.steps'",

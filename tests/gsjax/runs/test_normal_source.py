@@ -15,8 +15,6 @@ from gsjax.scene import Pixels, frame_of
 
 NORMAL = np.array([0.5, -0.3, -1]) / np.linalg.norm([0.5, -0.3, -1])
 EYES = [(0.0, 0.0, 0.0), (0.2, 0.0, 0.1), (-0.1, 0.2, 0.0)]
-
-
 CAMERAS = [camera_at(eye, np.add(eye, (0, 0, 1)), size=(40, 32)) for eye in EYES]
 PHOTO = Pixels(np.zeros((32, 40, 3), np.uint8))
 FRAMES = tuple(
