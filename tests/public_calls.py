@@ -35,7 +35,6 @@ CALLS = [  # Name, its arrays (argument, or argument:array), its other arguments
     ("project", "means opacities viewmats Ks covars radial_coeffs", SIZE | LENS),
     ("count_pairs", "projection", GRID),
     ("bin_splats", "projection opacities masks", GRID | LISTS | {"rules": GSPLAT}),
-    ("bin_splats", "projection opacities:depths", GRID | LISTS | {"rules": GSPLAT}),
     ("blend", "projection opacities features pairs absgrad:slopes", GRID | {"backend": "xla", "with_median": True}),
     ("blend", "projection opacities:depths features pairs masks", GRID | {"backend": "xla"}),
     ("depth_channels", "projection", SIZE),
@@ -50,7 +49,6 @@ CALLS = [  # Name, its arrays (argument, or argument:array), its other arguments
     ("camera_normals", "means quats scales viewmats visible", {}),
     ("adam", "parameters:means gradients:scales moments skipped rate count", {}),
     ("all_finite", "tree:projection", {}),
-    ("quat_scale_to_covar_preci", "quats scales", {}),
     ("quat_scale_to_covar_preci", "quats scales", {"triu": True}),
     ("world_to_cam", "means covars viewmats", {}),
     ("proj", "means:conics covars:covars_c Ks", SIZE),
@@ -69,7 +67,6 @@ CALLS = [  # Name, its arrays (argument, or argument:array), its other arguments
     ("render", "gaussians camera background:image extra:colors means2d_probe:probe", DENSE | {"with_depth": True}),
     ("render", "gaussians camera background:point active_degree:count", DENSE | {"with_axes": True}),
     ("render", "gaussians camera active_degree:degrees", DENSE),
-    ("from_points", "points colors:points", {"capacity": 9}),
     ("from_points", "points colors:bytes", {"capacity": 9}),
 ]
 

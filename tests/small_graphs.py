@@ -68,28 +68,28 @@ class SmallGraph:
 NHWC, NCHW = [0, 2, 3, 1], [0, 3, 1, 2]
 
 
-def color_network(file, *, name="normal", picture="image", shape=ANY, white=1.0, gain=2.0, bias=-1.0, dtype=np.float32):
-    """Normals are the photo's colours, as pictures of normals have them: `gain * colour / white + bias`."""
+def color_network(file, *, shape=ANY, gain=2.0, dtype=np.float32):
+    """Normals are the photo's colours, as pictures of normals have them: `gain * colour - 1`."""
     graph = SmallGraph(dtype)
-    value = graph.input(picture, shape)
+    value = graph.input("image", shape)
     value = graph.transposed(value, NCHW) if shape[1] != 3 else value
-    graph.output(graph.affine(value, np.divide(gain, white), bias), name)
+    graph.output(graph.affine(value, gain, -1.0), "normal")
     return graph.save(file)
 
 
-STRIDES = (1, 2, 4, 8, 16, 16, 16)
+STRIDES = (1, 2, 4, 8, 16)
 
 
-def small_lpips(file, kind="vgg", seed=0, sign=1.0):
-    """Layers of 1x1 convolutions of the picture, coarser and coarser, with a network's numbers of channels.
+def small_lpips(file, sign=1.0):
+    """Layers of 1x1 convolutions of the picture, coarser and coarser, with the numbers of channels of VGG.
 
     Returns:
         The file; a function from a picture [H, W, 3] to the layers' features; the linear weights.
     """
-    rng, graph = np.random.default_rng(seed), SmallGraph()
+    rng, graph = np.random.default_rng(0), SmallGraph()
     image = graph.input("image", (1, 3, "h", "w"))
     layers, weights = [], []
-    for index, (channels, stride) in enumerate(zip(CHANNELS[kind], STRIDES, strict=False)):
+    for index, (channels, stride) in enumerate(zip(CHANNELS["vgg"], STRIDES, strict=True)):
         kernel, bias = rng.normal(size=(channels, 3)), rng.normal(size=channels)
         kernel, bias = kernel.astype(np.float32), bias.astype(np.float32)
         value = graph.add("Conv", image, graph.constant(kernel[:, :, None, None]), graph.constant(bias),
@@ -131,18 +131,13 @@ def brightest_pixels(file, kind, side, count=150):
     return graph.save(file)
 
 
-def small_lightglue(file, mirrored=False):
-    """Matches every feature with the one whose descriptor is most like it, or that lies mirrored at the centre."""
+def small_lightglue(file):
+    """Matches every feature with the one whose descriptor is most like it."""
     graph = SmallGraph()
-    kpts = [graph.input(f"kpts{i}", (1, f"n{i}", 2)) for i in range(2)]
+    for i in range(2):
+        graph.input(f"kpts{i}", (1, f"n{i}", 2))
     desc = [graph.input(f"desc{i}", (1, f"n{i}", 128)) for i in range(2)]
-    if mirrored:
-        a, b = (graph.add("Unsqueeze", kpts[i], graph.constant([2 - i], np.int64)) for i in range(2))
-        offset = graph.add("Add", a, b)
-        squares = graph.add("ReduceSum", graph.add("Mul", offset, offset), graph.constant([3], np.int64), keepdims=0)
-        likeness = graph.add("Neg", squares)
-    else:
-        likeness = graph.add("MatMul", desc[0], graph.transposed(desc[1], [0, 2, 1]))
+    likeness = graph.add("MatMul", desc[0], graph.transposed(desc[1], [0, 2, 1]))
     there = graph.shaped(graph.add("ArgMax", likeness, axis=2), -1, 1)
     ones = graph.add("Add", graph.add("Mul", there, graph.constant(0, np.int64)), graph.constant(1, np.int64))
     here = graph.add("Sub", graph.add("CumSum", ones, graph.constant(0, np.int64)), graph.constant(1, np.int64))

@@ -18,7 +18,7 @@ from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io import analytic_scene
 from gsjax.rendering import gallery
 from gsjax.scene import Frame, Pixels, frame_of
-from gsjax.scene.cameras import Camera
+from gsjax.scene.cameras import Camera, look_at
 from gsjax.training.initialize import DEAD_LOGIT
 
 write_scene = analytic_scene.write  # Tests may put another function in its place.
@@ -38,14 +38,7 @@ def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
 
 def camera_at(eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, 1.0), *, size=(32, 24), focal=30.0) -> Camera:
     """A camera that looks at `target`, its principal point off the middle."""
-    eye = np.asarray(eye, np.float64)
-    z = np.asarray(target, np.float64) - eye
-    z /= np.linalg.norm(z)
-    x = np.cross([0.0, 1.0, 0.0], z)
-    x /= np.linalg.norm(x)
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = np.stack([x, np.cross(z, x), z])
-    viewmat[:3, 3] = -viewmat[:3, :3] @ eye
+    viewmat = look_at(np.asarray(eye, np.float64), np.asarray(target, np.float64), np.array([0.0, -1.0, 0.0]))
     width, height = size
     K = np.array([[focal, 0, 0.5 * width + 0.7], [0, 1.1 * focal, 0.5 * height - 0.4], [0, 0, 1]])
     return Camera(jnp.asarray(viewmat, jnp.float32), jnp.asarray(K, jnp.float32), width, height)

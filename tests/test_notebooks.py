@@ -60,10 +60,6 @@ def test_a_notebook_that_holds_is_a_page_with_its_pictures_and_is_there_to_downl
     assert not list((tmp_path / "site").rglob("*.py"))
 
 
-@pytest.mark.parametrize(
-    ("sum_of_ones", "link", "fault"),
-    [("3", "../index.md", "AssertionError"), pytest.param("2", "../absent.md", "absent.md", marks=pytest.mark.long)],
-)
-def test_an_assertion_that_fails_or_a_link_to_nothing_ends_the_build(tmp_path, sum_of_ones, link, fault):
-    done = built(tmp_path, NOTEBOOK.replace("{sum}", sum_of_ones).replace("../index.md", link))
-    assert done.returncode != 0 and fault in done.stderr
+def test_an_assertion_that_fails_ends_the_build(tmp_path):
+    done = built(tmp_path, NOTEBOOK.replace("{sum}", "3"))
+    assert done.returncode != 0 and "AssertionError" in done.stderr

@@ -24,8 +24,6 @@ from gsjax.binding.mesh_terms import mesh_graph
 from gsjax.binding.mixed_gaussians import MixedGaussians
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.meshing import density_field
-from gsjax.metrics import images
-from gsjax.normals import from_depth
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.cameras import center
@@ -125,16 +123,12 @@ def test_a_step_of_the_refinement(target):
     assert not rough_products(step, mesh_graph(np.asarray(sheet.faces)), state, here, jax.random.key(0))
 
 
-FEW, DEPTH = cloud(30, seed=1), jnp.full((24, 32), 3.0)
-PHOTO = jnp.full((24, 32, 3), 0.5)
+FEW = cloud(30, seed=1)
 FUNCTIONS = {
     "render": lambda: (partial(rendering.render, capacity=4096, with_depth=True), FEW, CAMERAS[0]),
     "covariances": lambda: (gaussians.covariances, FEW),
     "stages of gsplat": lambda: (stages_of_gsplat, rasterizer_scene()),
-    "depth normals": lambda: (from_depth.depth_normals, DEPTH, CAMERAS[0]),
     "density": lambda: (density_field.density_gradient, FEW.means[0], density_field.kernels(FEW)),
-    "ssim": lambda: (jax.grad(images.ssim), PHOTO, 0.9 * PHOTO),
-    "covariances on a mesh": lambda: (binding.covariances, bound_sheet()),
     "the built-in scene": lambda: (partial(solids.trace, samples=1), CAMERAS[0]),
 }
 

@@ -6,12 +6,11 @@ from inspect import isfunction
 from typing import get_args, get_type_hints
 
 import jax
-import jax.numpy as jnp
 import pytest
 from beartype import beartype
 from beartype.roar import BeartypeDoorHintViolation
 from jaxtyping import TypeCheckError, jaxtyped
-from public_calls import CALLS, DENSE, SIZE, SPLATS, C, D, H, N, W, make_arrays
+from public_calls import CALLS, make_arrays
 from record_fields import check_fields
 
 import gsjax
@@ -66,15 +65,6 @@ def test_twice_the_columns_are_refused_where_a_number_or_another_argument_says_s
         if last and all(dim.isdigit() or "{" in dim or uses[dim] > 1 for dim in last):
             with pytest.raises(TypeCheckError):
                 checked(name)(**{**arguments, key: arguments[key].repeat(2, -1)}, **options)
-
-
-def test_several_scenes_have_leading_dimensions_and_vmap_hides_them(arrays):
-    scenes = jax.tree.map(lambda array: jnp.stack([array] * 3), arguments_of(arrays, SPLATS))
-    projection = jax.vmap(lambda scene: checked("project")(**scene, **SIZE))(scenes)
-    assert projection.conics.shape == (3, C, N, 3)
-    how = SIZE | DENSE | {"colors": arrays["colors"]}
-    image, *_ = jax.eval_shape(lambda scenes: checked("rasterization")(**scenes, **how), scenes)
-    assert image.shape == (3, C, H, W, D)
 
 
 def test_a_field_of_another_shape_is_found(arrays):

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from gsjax import config, pipeline, runs
-from gsjax.errors import InputError
 from gsjax.report import tables
 from gsjax.settings import Settings
 
@@ -55,11 +54,3 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, set
     assert set(settings_by_run) == {f"{variant}_0" for variant in variants}
     assert all(isinstance(settings, Settings) for settings in settings_by_run.values())
     assert len({str(config.to_dict(settings)) for settings in settings_by_run.values()}) == len(variants)
-
-
-def test_unknown_names_and_a_folder_of_another_config_are_one_line(compare, settings_by_run, tmp_path):
-    with pytest.raises(InputError, match="no study 'baseline'; the nearest is 'baselines'"):
-        compare.load_study("baseline")
-    compare.run("baselines", "scene", str(tmp_path))
-    with pytest.raises(InputError, match=r"asked.json: its runs are of on built_in, not bunny_plane; --out takes"):
-        compare.run("baselines", "scene", str(tmp_path), on="bunny_plane")

@@ -1,7 +1,6 @@
 import pytest
 
 from gsjax import config
-from gsjax.errors import InputError
 from gsjax.presets import DEMO
 from gsjax.settings import Settings
 
@@ -24,13 +23,3 @@ def test_every_config_parses_and_differs_from_base_in_what_it_says(script, name)
 
 def test_the_demo_is_what_the_command_trains(script):
     assert script.load_settings("demo") == config.parse(Settings, DEMO)
-
-
-def test_unknown_names_are_answered_with_the_nearest(script):
-    with pytest.raises(InputError, match="no config 'foxx'; the nearest is 'fox'"):
-        script.load_settings("foxx")
-    with pytest.raises(
-        InputError,
-        match="--set: unknown key 'schedule.phases.0.step'; the nearest known one is 'schedule.phases.0.steps'",
-    ):
-        script.load_settings("fox", ["schedule.phases.0.step=3"])

@@ -13,7 +13,7 @@ from small_scenes import discs
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_set import world_points
 from gsjax.rendering.gallery import Picture
-from gsjax.scene.cameras import Camera
+from gsjax.scene.cameras import Camera, look_at
 
 RADIUS = 1.0
 
@@ -96,13 +96,7 @@ def _around(count, heights=(-2.5, 0.0, 2.5)) -> list[Camera]:
     for index in range(count):
         angle = 2 * np.pi * index / count
         eye = np.array([3.5 * np.cos(angle), 3.5 * np.sin(angle), heights[index % len(heights)]])
-        z = -eye / np.linalg.norm(eye)
-        x = np.cross(z, [0.0, 0, 1])
-        x /= np.linalg.norm(x)
-        rotation = np.stack([x, np.cross(z, x), z])
-        viewmat = np.eye(4)
-        viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ eye
-        cameras.append(Camera(viewmat.astype(np.float32), K, 64, 60))
+        cameras.append(Camera(look_at(eye, np.zeros(3), np.array([0.0, 0, 1])), K, 64, 60))
     return cameras
 
 

@@ -28,12 +28,8 @@ from gsjax.settings import (
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_is_a_valid_difference_that_survives_a_round_trip(name):
     settings = parse(Settings, PRESETS[name])
-    assert (
-        Settings(**PRESETS[name])
-        == as_record(Settings, PRESETS[name])
-        == parse(Settings, to_dict(settings))
-        == settings
-    )
+    assert Settings(**PRESETS[name]) == parse(Settings, to_dict(settings)) == settings
+    assert settings.effects.names == ("auto" if name in LENGTHS else "none"), "the papers' have no effects"
     with_r = [phase.name for phase in settings.schedule.phases if {"sdf_normal", "pixel_normal"} & phase.weights.keys()]
     assert with_r == ([] if name == "quick" else ["surface"])  # `quick` has no time for a surface.
 
@@ -46,28 +42,17 @@ def test_each_of_the_lengths_is_longer_than_the_one_before_and_none_than_the_pap
         assert shorter.model.max_gaussians < longer.model.max_gaussians
 
 
-def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
-    assert {name: preset(name).effects.names for name in PRESETS} == {
-        name: "auto" if name in LENGTHS else "none" for name in PRESETS
-    }
-
-
 @pytest.mark.parametrize(
     ("difference", "message"),
     [
         ({"model": {"sh_degree": 5}}, "model: sh_degree=5"),
         ({"schedule": {"dropout": 1.0}}, "dropout=1.0 is not at least 0 and below 1"),
-        ({"photos": {"downscale": 0}}, "downscale=0.0 is not a number of at least 1"),
         ({"model": {"max_gaussians": 10**12}}, "max_gaussians=1000000000000 is above 2147483647"),
         ({"schedule": {"phases": []}}, "there are no phases"),
         ({"seed": -1}, "seed=-1 is not between 0 and 4294967295"),
         ({"rates": {"scales": -1e-3}}, "rates: scales=-0.001 is below 0"),
         ({"density": {"full_by": 2}}, "density: full_by=2.0 is not between 0 and 1"),
         ({"schedule": {"phases": [{"name": "a", "steps": -1}]}}, r"phases.0: steps=-1 is below 0"),
-        (
-            {"schedule": {"phases": [{"name": "a", "steps": 1, "weights": {"l1": float("inf")}}]}},
-            "weights.l1 is inf, expected a finite number",
-        ),
         ({"rates": {"means": 0.0}}, r"rates: means=0.0 is below 1.6e-06"),
     ],
 )
@@ -85,33 +70,23 @@ def test_normal_maps_weigh_more_than_the_normals_of_the_photos_themselves():
     for name in LENGTHS[1:]:
         with_maps = preset(name, {"supervision": {"normals": "maps"}})
         assert (weight_of_normals(preset(name)), weight_of_normals(with_maps)) == (0.1, 0.4)
-    own = [{"name": "a", "steps": 1, "weights": {"pixel_normal": 0.2}}]
-    changes = {"supervision": {"normals": "maps"}, "schedule": {"phases": own}}
-    assert preset("fast", changes).schedule.phases[0].weights["pixel_normal"] == 0.2
     for name in PRESETS.keys() - set(LENGTHS[1:]):
         assert preset(name, {"supervision": {"normals": "maps"}}).schedule == preset(name).schedule
 
 
-@pytest.mark.parametrize(
-    ("choice", "names"), [("none", ()), ("auto", ()), ("vignetting, exposure", ("exposure", "vignetting"))]
-)
-def test_effects_are_named_in_any_order(choice, names):
-    assert named_effects(choice) == names
-    assert EffectChoice(choice).names == choice
-
-
-@pytest.mark.parametrize("choice", ["fog", "exposure,", "none,exposure"])
-def test_unknown_effects_are_refused(choice):
-    with pytest.raises(ValueError, match="is none of auto, none, exposure, vignetting"):
-        EffectChoice(choice)
+def test_effects_are_named_in_any_order_and_unknown_ones_are_refused():
+    assert named_effects("none") == named_effects("auto") == ()
+    assert named_effects("vignetting, exposure") == ("exposure", "vignetting")
+    for choice in ("fog", "exposure,", "none,exposure"):
+        with pytest.raises(ValueError, match="is none of auto, none, exposure, vignetting"):
+            EffectChoice(choice)
 
 
 def test_rates_that_no_file_told_are_held_to_the_same():
     with pytest.raises(ValueError, match="opacities=inf is not a finite number"):
         Rates(opacities=float("inf"))
-    for seed in (-1, 2**32):
-        with pytest.raises(ValueError, match=f"seed={seed} is not between 0 and 4294967295"):
-            Refinement(seed=seed)
+    with pytest.raises(ValueError, match="seed=4294967296 is not between 0 and 4294967295"):
+        Refinement(seed=2**32)
 
 
 def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
@@ -123,10 +98,7 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
         model={"max_gaussians": jnp.int32(900), "sh_degree": np.array(2)},
         schedule={
             "vanilla": np.bool_(False),
-            "phases": [
-                {"name": "a", "steps": np.int64(3), "weights": {"l1": np.float32(0.5), "mine": 1}},
-                Phase("b", np.uint8(4), image_scale=np.int32(2)),
-            ],
+            "phases": [{"name": "a", "steps": np.int64(3), "weights": {"l1": np.float32(0.5), "mine": 1}}],
         },
     )
     plain = Settings(
@@ -134,7 +106,7 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
         photos=Photos(downscale=2.0),
         supervision=Supervision(normals="maps"),
         model=Model(max_gaussians=900, sh_degree=2),
-        schedule=Schedule((Phase("a", 3, Weights(l1=0.5, mine=1.0)), Phase("b", 4, image_scale=2))),
+        schedule=Schedule((Phase("a", 3, Weights(l1=0.5, mine=1.0)),)),
     )
     assert settings == plain and hash(settings) == hash(plain)
     assert json.loads(json.dumps(to_dict(settings))) == to_dict(plain)
@@ -149,7 +121,6 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
         (lambda: Settings(rates={"meens": 1e-3}), "Settings: unknown key 'rates.meens'; the nearest known one is"),
         (lambda: Phase("a", 3, {"l1": "much"}), "Phase: weights.l1 is 'much', expected float"),
         (lambda: Weights(l1=float("nan")), "Weights: l1 is nan, expected a finite number"),
-        (lambda: Rates(decay_steps=1.5), "Rates: decay_steps is 1.5, expected int or null"),
         (lambda: Refinement(pixel_filter="box"), "Refinement: pixel_filter is 'box', expected one of"),
         (
             lambda: jax.jit(lambda degree: Model(sh_degree=degree))(3),
@@ -175,8 +146,3 @@ def test_keys_without_a_group_are_refused_with_the_key_of_today(flat, now):
     for make in (lambda: Settings(**flat), lambda: preset("fast", flat), lambda: as_record(Settings, flat)):
         with pytest.raises(InputError, match=f": {now}$"):
             make()
-
-
-def test_a_table_changes_the_fields_of_a_group_that_it_names():
-    settings = preset("fast").replace(model={"max_gaussians": 9}, seed=3)
-    assert settings == preset("fast", {"model": {"max_gaussians": 9}, "seed": 3})

@@ -39,15 +39,10 @@ def as_float32(*arrays):
     return tuple(jnp.asarray(a, jnp.float32) for a in arrays)
 
 
-def test_ssim_is_the_mean_of_the_textbook_form_also_of_images_smaller_than_its_window(images):
+def test_ssim_is_the_mean_of_the_textbook_form_and_reads_masked_pixels_as_zero(images):
+    image, target = images
     np.testing.assert_allclose(ssim_map(*as_float32(*images)), ssim_oracle(*images), atol=2e-5)
     np.testing.assert_allclose(ssim(*as_float32(*images)), ssim_oracle(*images).mean(), rtol=1e-5)
-    smaller = np.full((1, 2, 3), 0.4), np.full((1, 2, 3), 0.6)
-    np.testing.assert_allclose(ssim_map(*as_float32(*smaller)), ssim_oracle(*smaller), rtol=1e-4)
-
-
-def test_masked_ssim_reads_masked_pixels_as_zero_and_averages_the_rest(images):
-    image, target = images
     mask = np.random.default_rng(0).random(image.shape[:2]) > 0.3
     expected = ssim_oracle(image * mask[..., None], target * mask[..., None])[mask].mean()
     np.testing.assert_allclose(ssim(*as_float32(image, target), jnp.asarray(mask)), expected, rtol=1e-5)
@@ -78,26 +73,10 @@ def test_equal_images(images):
     np.testing.assert_allclose(gradient, np.zeros_like(gradient), atol=1e-7)
 
 
-@pytest.mark.parametrize("argument", [0, 1])
-def test_ssim_gradient_equals_central_differences(images, argument):
-    with jax.enable_x64(True):
-        arguments = [jnp.asarray(a) for a in images]
-        gradient = np.asarray(jax.grad(ssim, argnums=argument)(*arguments))
-        rng = np.random.default_rng(7)
-        for _ in range(3):
-            direction = rng.standard_normal(gradient.shape)
-            ends = []
-            for step in (1e-5, -1e-5):
-                moved = list(arguments)
-                moved[argument] = moved[argument] + step * direction
-                ends.append(float(ssim(*moved)))
-            np.testing.assert_allclose(np.sum(gradient * direction), (ends[0] - ends[1]) / 2e-5, rtol=1e-6)
-
-
-@pytest.mark.parametrize("measure", [psnr, ssim])
-def test_shapes_that_do_not_match_are_named(measure):
+def test_shapes_that_do_not_match_are_named():
     image = jnp.zeros((4, 5, 3), jnp.float32)
-    with pytest.raises(ValueError, match=r"\(4, 5, 3\).*\(5, 4, 3\)"):
-        measure(image, jnp.zeros((5, 4, 3), jnp.float32))
-    with pytest.raises(ValueError, match=r"\(5, 4\).*\(4, 5, 3\)"):
-        measure(image, image, jnp.ones((5, 4), bool))
+    for measure in (psnr, ssim):
+        with pytest.raises(ValueError, match=r"\(4, 5, 3\).*\(5, 4, 3\)"):
+            measure(image, jnp.zeros((5, 4, 3), jnp.float32))
+        with pytest.raises(ValueError, match=r"\(5, 4\).*\(4, 5, 3\)"):
+            measure(image, image, jnp.ones((5, 4), bool))

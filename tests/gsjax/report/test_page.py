@@ -167,32 +167,23 @@ def test_a_scan_is_one_page_of_its_stages_and_runs(tmp_path):
     assert picture(page.pictures["one view as Gaussians, as normals, and as the meshes"]).size == (1280, 128)
 
 
-@pytest.mark.parametrize(
-    ("fault", "expected"),
-    [
-        ("nothing", "holds no manifest.json; it is no run folder"),
-        ("metrics", "metrics.jsonl, line 2: is no JSON"),
-        ("record", "metrics.jsonl, line 2: the whole is 7, expected a table"),
-        ("cameras", "cameras.json: is no JSON"),
-        ("scan", "is the folder of neither a run nor a scan"),
-    ],
-)
-def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, fault, expected):
-    folder = tmp_path / "empty" if fault in ("nothing", "scan") else run
-    folder.mkdir(exist_ok=True)
-    if fault in ("metrics", "record"):
-        lines = (run / "metrics.jsonl").read_text().splitlines(keepends=True)
-        lines[1] = '{"step": 100, "lo\n' if fault == "metrics" else "7\n"
-        (run / "metrics.jsonl").write_text("".join(lines))
-    if fault == "cameras":
-        (run / "cameras.json").write_text("[{")
-    if fault == "scan":
-        json_files.write(folder / "report.json", {"vanilla": {}})
-    commands = [["report", str(folder)]]
-    if fault not in ("scan", "cameras"):  # runs are compared without their cameras
-        commands.append(["compare", str(folder), str(made_run(tmp_path / "whole")), "--out", str(tmp_path / "c.html")])
-    for command in commands:
-        assert cli.main(command) == 2
+def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys):
+    """Folders of no run, cameras without which runs are compared, and metrics."""
+    for name in ("empty", "scan"):
+        (tmp_path / name).mkdir()
+    json_files.write(tmp_path / "scan/report.json", {"vanilla": {}})
+    (run / "cameras.json").write_text("[{")
+    damaged = made_run(tmp_path / "damaged")
+    first, _, last = (damaged / "metrics.jsonl").read_text().splitlines()
+    (damaged / "metrics.jsonl").write_text("\n".join([first, '{"step": 100, "lo', last, ""]))
+    for command, expected in (
+        (["report", tmp_path / "empty"], "holds no manifest.json; it is no run folder"),
+        (["report", tmp_path / "scan"], "is the folder of neither a run nor a scan"),
+        (["report", run], "cameras.json: is no JSON"),
+        (["report", damaged], "metrics.jsonl, line 2: is no JSON"),
+        (["compare", damaged, run, "--out", tmp_path / "c.html"], "metrics.jsonl, line 2: is no JSON"),
+    ):
+        assert cli.main([str(part) for part in command]) == 2
         message = capsys.readouterr().err
         assert expected in message and message.count("\n") == 1
     assert not list(tmp_path.rglob("*.html"))

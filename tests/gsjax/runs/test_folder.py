@@ -24,8 +24,6 @@ def test_a_new_run_says_what_was_asked_and_where_and_is_not_overwritten(run, tmp
     assert json.loads((run / "config.json").read_text()) == SETTINGS
     assert (manifest["scene"], manifest["seed"], manifest["status"]) == (str(tmp_path / "scene"), 3, "started")
     assert manifest["versions"]["numpy"] == np.__version__
-    assert manifest["machine"]["cores"] == len(os.sched_getaffinity(0))
-    assert manifest["machine"]["accelerator"] is None
     with pytest.raises(InputError, match=r"run: this folder is not empty; continue its run with --resume"):
         runs.create(run, {}, scene="other", seed=0)
     assert json.loads((run / "config.json").read_text()) == SETTINGS
@@ -36,10 +34,6 @@ def test_a_run_is_reopened_on_its_own_data_set_with_its_own_settings_only(run, t
     assert runs.reopen(run, {"seed": 3, "train": {"steps": 100, "rates": (0.1, 0.2)}}, scene=scene) == run
     with pytest.raises(InputError, match=r"run: was started with train\.steps = 100, not 50"):
         runs.reopen(run, {"seed": 3, "train": {"steps": 50, "rates": [0.1, 0.2]}}, scene=scene)
-    with pytest.raises(InputError, match=r"was started with extra = null, not 1"):
-        runs.reopen(run, SETTINGS | {"extra": 1}, scene=scene)
-    with pytest.raises(InputError, match=r"config\.json: cannot be read \(No such file or directory\)"):
-        runs.reopen(run / "nothing", SETTINGS, scene=scene)
     with pytest.raises(InputError, match=r"run: was started on .*/scene, not on .*/other; a resumed run keeps"):
         runs.reopen(run, SETTINGS, scene=tmp_path / "other")
 
@@ -150,12 +144,11 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(run, capsys):
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and "step_0000010.npz: truncated or damaged" in line
     assert line.endswith("resuming from step_0000005.npz\n")
-    only = run / "checkpoints/step_0000005.npz"
-    only.write_bytes(b"")
+    (run / "checkpoints/step_0000005.npz").write_bytes(b"")
     message = "step_0000005.npz: .*without this file, --resume begins at"
     with pytest.raises(InputError, match=message), runs.claim_run(run):
         pass
-    assert only.exists() and runs.is_run(run)
+    assert (run / "checkpoints/step_0000005.npz").exists() and runs.is_run(run)
 
 
 @pytest.mark.parametrize("left", ["nothing", "metrics", "checkpoint"])

@@ -45,15 +45,12 @@ def whole(tmp_path_factory):
     settings = config.to_dict(config.parse(Settings, config.merge(PRESETS["fast"], {"photos": {"downscale": 2}})))
     runs.create(run, settings, scene=run / "absent", seed=0)
     write_gaussians(run / "gaussians.ply", cloud(20))
-    views = [
-        {"name": f"{i}.png", "width": 24, "height": 20, "viewmat": CAMERA.viewmat, "K": CAMERA.K, "held_out": False}
-        for i in range(3)
-    ]
-    json_files.write(run / "cameras.json", views)
-    looks = {view["name"]: {"log_gains": [0.1, 0, 0], "falloff": [0, 0]} for view in views}
-    moves = {view["name"]: {"turn": [0, 0, 0], "shift": [0, 0, 0], "focal": 1} for view in views}
-    for name, photos in (("effects.json", looks), ("poses.json", moves)):
-        json_files.write(run / name, {"photos": photos})
+    view = {"width": 24, "height": 20, "viewmat": CAMERA.viewmat, "K": CAMERA.K, "held_out": False}
+    names = [f"{i}.png" for i in range(3)]
+    json_files.write(run / "cameras.json", [{"name": name, **view} for name in names])
+    look, move = {"log_gains": [0.1, 0, 0], "falloff": [0, 0]}, {"turn": [0, 0, 0], "shift": [0, 0, 0], "focal": 1}
+    for file, each in (("effects.json", look), ("poses.json", move)):
+        json_files.write(run / file, {"photos": dict.fromkeys(names, each)})
     json_files.write(run / "background.json", {"sh": [[0.1, 0.2, 0.3]]})
     for step in (5, 10):
         record = {"step": step, "loss": 0.5, "psnr": 20.0, "gaussians": 20, "seconds": 1.5 * step, "phase": "coarse"}
