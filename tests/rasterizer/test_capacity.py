@@ -46,13 +46,16 @@ def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
             assert error < 1e-4, (name, error)
 
 
-def test_too_small_a_capacity_says_so_and_what_is_needed():
-    image, _, info = render(SCENE, capacity=192)
+@pytest.mark.parametrize(
+    "backend", ["native", *(pytest.param(each, marks=pytest.mark.long) for each in ("xla", "pallas"))]
+)
+def test_too_small_a_capacity_says_so_and_what_is_needed_and_stays_finite(backend):
+    image, _, info, gradient = evaluate(SCENE, backend, capacity=192)
     assert info["overflowed"]
-    assert np.isfinite(image).all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((image, gradient)))
     needed = int(info["needed"])
     assert needed > 192
-    assert not render(SCENE, capacity=capacity_bucket(needed))[2]["overflowed"]
+    assert not render(SCENE, capacity=capacity_bucket(needed), backend=backend)[2]["overflowed"]
 
 
 def test_buckets_hold_and_waste_at_most_half():

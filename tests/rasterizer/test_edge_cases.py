@@ -167,11 +167,12 @@ def test_depth_in_front_agrees_with_float64(name, agree_with_float64, alone):
     agree_with_float64("in front: " + name, of_depth(odd(VISIBLE[name])), backends=alone, evaluate=evaluate_in_front)
 
 
+# `test_projection_engines` differentiates the compensations of such Gaussians.
+@pytest.mark.long
 @pytest.mark.parametrize("name", ANTIALIASED)
-def test_antialiased_agrees_with_float64(name, agree_with_float64, alone):
+def test_antialiased_agrees_with_float64(name, agree_with_float64):
     # What has no area is dimmed to the floor of the compensation, without gradient, and all the rest by a root.
-    scene = antialiased(name)
-    agree_with_float64("antialiased: " + name, scene, backends=alone, rasterize_mode="antialiased")
+    agree_with_float64("antialiased: " + name, antialiased(name), rasterize_mode="antialiased")
 
 
 @pytest.mark.parametrize("focal", FOCAL_LENGTHS)
@@ -196,8 +197,8 @@ def test_forty_copies_of_one_gaussian(agree_with_float64):
 
 
 @pytest.mark.long
-def test_an_image_of_one_pixel(agree_with_float64, alone):
-    agree_with_float64("one pixel", one_pixel(), backends=alone)
+def test_an_image_of_one_pixel(agree_with_float64):
+    agree_with_float64("one pixel", one_pixel())
 
 
 @pytest.mark.parametrize("opacity", PILES)

@@ -163,8 +163,10 @@ def test_leading_dimensions_are_the_scenes_one_by_one_in_value_and_gradient(back
     (_, (image, alphas, info)), gradient = jax.jit(jax.value_and_grad(of_both, has_aux=True))(both)
     assert info["radii"].shape == (1, 2, 1, 40, 2)
     for i, scene in enumerate(scenes):
-        *expected, _, expected_gradient = evaluate(scene, backend)
+        *expected, info_alone, expected_gradient = evaluate(scene, backend)
         assert_close([image[0, i], alphas[0, i]], expected)
+        for name in ("tiles_per_gauss", "isect_offsets", "flatten_ids"):
+            np.testing.assert_array_equal(info[name][0, i], info_alone[name])
         alone = jax.tree.map(lambda x, i=i: x[0, i], gradient)
         assert_close(alone, expected_gradient, kind="gradient")
 

@@ -11,7 +11,6 @@ from tolerances import assert_close
 
 from rasterizer import project
 
-ENGINES = ["native", "xla"]
 WIDTH, HEIGHT, COUNT = 64, 48, 1100  # more Gaussians than a thread takes at a time, and part of a vector
 DIFFERENTIABLE = "means2d", "depths", "conics", "compensations", "slopes"
 OPTIONS = {"classic": {}, "antialiased planes": {"rasterize_mode": "antialiased", "depth_mode": "plane"}}
@@ -68,9 +67,10 @@ def with_gradients(arrays, cotangents, *, backend, **options):
     return projection.visible, parts | {"extents": projection.extents}, gradients
 
 
-@pytest.mark.parametrize("mode", OPTIONS)
-@pytest.mark.parametrize("backend", ENGINES)
-def test_values_and_gradients_against_float64(mode, backend):
+@pytest.mark.parametrize(
+    ("backend", "mode"), [("native", "classic"), ("native", "antialiased planes"), ("xla", "antialiased planes")]
+)
+def test_values_and_gradients_against_float64(backend, mode):
     arrays, rng = hard_and_random(), np.random.default_rng(6)
     rows = 2, len(arrays[0])
     widths = {"means2d": (2,), "depths": (), "conics": (3,), "compensations": (), "slopes": (2,)}
@@ -103,6 +103,6 @@ def test_gradients_to_the_cameras_are_those_of_jnp():
         p = project(means, quats, scales, opacities, viewmats, Ks, WIDTH, HEIGHT, backend=backend)
         return jnp.sum(jnp.where(p.visible[..., None], p.means2d + p.conics[..., :2], 0))
 
-    in_loops, in_jnp = (jax.grad(total, (0, 1))(viewmats, Ks, backend) for backend in ENGINES)
+    in_loops, in_jnp = (jax.grad(total, (0, 1))(viewmats, Ks, backend) for backend in ("native", "xla"))
     assert_close(in_loops, in_jnp, kind="gradient")
     assert all(np.any(part != 0) for part in in_jnp)
