@@ -1,11 +1,10 @@
-"""The native loops: their lists and whole tiles against the other engines, their reach, and lists of rubbish."""
+"""The native loops: their lists and whole tiles against the other engines, and lists of rubbish."""
 
 from dataclasses import replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,8 +13,6 @@ from scenes import binned, cloud, stacks
 from tolerances import assert_close
 
 from rasterizer import Front, TileGrid, blend, rasterize_to_pixels
-from rasterizer._native import compiled
-from rasterizer._native.tiles import reach_along_y
 
 
 @partial(jax.jit, static_argnames=("side", "backend"))
@@ -62,25 +59,6 @@ def test_whole_tiles_equal_the_other_engines():
     np.testing.assert_array_equal(outputs[2], expected[2])
     for a, b in zip(slopes, right, strict=True):
         assert np.linalg.norm(a - b) < 1e-4 * max(np.linalg.norm(b), 1e-6)
-
-
-@pytest.mark.parametrize("aspect", [1, 1e5])
-def test_a_reach_is_never_too_short(aspect):
-    """Skipped rows hold no pixel that passes the cut: needles whose conic's digits cancel are looked at whole."""
-    rng = np.random.default_rng(0)
-    angle, sigma = rng.uniform(0, np.pi, 200), 10 ** rng.uniform(-0.3, 1, 200)
-    cos, sin = np.cos(angle), np.sin(angle)
-    long, short = sigma**2 * aspect, sigma**2 / aspect
-    # The inverse is written out: numpy's would lose the digits that this is about.
-    xx, yy = cos**2 / long + sin**2 / short, sin**2 / long + cos**2 / short
-    xy = cos * sin * (1 / long - 1 / short)
-    of_row = numba.njit(fastmath=compiled.FAST)(lambda *numbers: reach_along_y(*numbers))
-    rows = zip(*(x.astype(np.float32) for x in (xx, xy, yy)), strict=True)
-    reach = np.array([of_row(*row, np.float32(0.8), np.float32(1 / 255)) for row in rows])
-    needed = np.sqrt(2 * np.log(0.8 * 255) * (sin**2 * long + cos**2 * short))
-    assert (reach >= needed * (1 - 1e-6)).all()
-    if aspect < 100:
-        assert (reach < 1.01 * needed).all(), "and hardly longer than it must be"
 
 
 def test_lists_of_rubbish_read_nothing_beyond_the_splats():

@@ -21,12 +21,3 @@ def test_a_copy_of_the_package_elsewhere_compiles_nothing(tmp_path):
     assert Path(done.stdout.strip()).is_relative_to(tmp_path)
     assert done.stderr == ""
     assert before and {file: file.stat().st_mtime_ns for file in compiled.FOLDER.iterdir()} == before
-
-
-def test_another_source_and_another_numba_have_a_folder_of_their_own(monkeypatch):
-    own = compiled.cache_folder()
-    monkeypatch.setattr(compiled.numba, "__version__", "0.0.0")
-    other = compiled.cache_folder()
-    assert other.parent == own.parent and other.name != own.name
-    monkeypatch.setattr(compiled.config, "CACHE_DIR", "/elsewhere")
-    assert compiled.cache_folder() == Path("/elsewhere") / other.name

@@ -63,30 +63,9 @@ def test_only_the_bands_of_the_degree_are_evaluated():
     assert [uses_constant(program, c) for c in leading_constants] == [True, True, False, False, False]
 
 
-def test_depth_alone_never_touches_the_colours():
-    scene = transparent(cloud(COUNT, sh_degree=4))
-    assert (COUNT, 25, 3) in shapes(forward(scene, sh_degree=4))
-    assert (COUNT, 25, 3) not in shapes(forward(scene, sh_degree=4, render_mode="D"))
-
-
-def test_expected_depth_alone_divides_the_image():
-    def divides(mode):
-        program = forward(transparent(cloud(COUNT)), render_mode=mode)
-        return any(e.primitive.name == "div" and e.outvars[0].aval.shape == (1, 29, 37, 1) for e in program)
-
-    assert [divides(mode) for mode in ("RGB+D", "ED")] == [False, True]
-
-
 def operations(program):
     """How many equations of each primitive."""
     return Counter(e.primitive.name for e in program)
-
-
-def test_an_option_adds_its_operations_and_its_absence_none():
-    scene = transparent(cloud(COUNT))
-    without = operations(forward(scene))
-    for options, primitive in (({"rasterize_mode": "antialiased"}, "sqrt"), ({"return_normals": True}, "argmin")):
-        assert operations(forward(scene, **options))[primitive] > without[primitive]
 
 
 def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
