@@ -58,18 +58,6 @@ def test_the_distance_never_exceeds_the_true_one():
     assert np.all(change <= distance + 1e-5)
 
 
-def test_normals_equal_central_differences(surface):
-    points, _, _ = true_surface.sample_points(surface, 2_000, 100, seed=0)
-    with jax.enable_x64(True):
-        sdf = jax.jit(jax.vmap(solids.scene_sdf))
-        steps = 1e-6 * np.eye(3)
-        points = points.astype(np.float64)
-        differences = np.stack([(sdf(points + h) - sdf(points - h)) / 2e-6 for h in steps], axis=-1)
-        normals = np.asarray(jax.jit(jax.vmap(solids.normal))(points))
-    differences /= np.linalg.norm(differences, axis=1, keepdims=True)
-    assert np.mean(np.abs(normals - differences).max(axis=1) < 1e-4) > 0.99  # the rest lies on edges
-
-
 def test_hits_lie_on_the_surface(view, world_points):
     hit = view.depth > 0
     assert 0.3 < hit.mean() < 1
