@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scenes import render, single
+from scenes import single
 from tolerances import assert_close
 
 import rasterizer
@@ -136,10 +136,7 @@ def test_gradients_of_points_and_jacobians_are_finite_differences(x64):
             np.testing.assert_allclose(jnp.sum(gradient[name] * way), expected, rtol=1e-6, atol=1e-8, err_msg=name)
 
 
-def test_a_parallel_projection_does_not_shrink_with_distance_and_sees_along_z():
-    near, far = (single(mean=(0.3, 0.2, z), scale=(0.1, 0.1, 0.01)) for z in (2.0, 9.0))
-    images = [render(scene, camera_model="ortho", capacity=256)[0] for scene in (near, far)]
-    np.testing.assert_array_equal(*images)
+def test_a_parallel_projection_sees_along_z():
     # A disc far beside the axis, turned towards it, shows its other side to a camera in the origin.
     tilted = single(mean=(9.0, 0.0, 2.0), quat=(0.98, 0.0, -0.2, 0.0), scale=(0.1, 0.1, 0.001))
     visible = jnp.ones((1, 1), bool)

@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,9 @@ import pytest
 from scenes import cloud, evaluate, loss, render, stacks
 from tolerances import assert_close
 
+import rasterizer
 from rasterizer import engines
+from rasterizer._native import compiled
 from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.vectors import LANES
 from rasterizer.similarity import ssim
@@ -177,5 +181,17 @@ def test_a_compiled_program_without_capacity_has_the_bits_of_one_with_it():
 
 @pytest.mark.parametrize("scene", [cloud(channels=19), cloud(0)], ids=["two passes", "nothing"])
 def test_other_sizes_without_capacity_have_the_bits_of_those_with_it(scene):
-    compiled = jax.jit(lambda s: render(s, backend="native")[:2])(scene)
-    jax.tree.map(np.testing.assert_array_equal, compiled, render(scene, backend="native", capacity=4096)[:2])
+    images = jax.jit(lambda s: render(s, backend="native")[:2])(scene)
+    jax.tree.map(np.testing.assert_array_equal, images, render(scene, backend="native", capacity=4096)[:2])
+
+
+def test_a_copy_of_the_package_elsewhere_compiles_nothing(tmp_path):
+    """Compiled loops are found by their content, not by where their source lies."""
+    shutil.copytree(Path(rasterizer.__file__).parent, tmp_path / "rasterizer")
+    before = {file: file.stat().st_mtime_ns for file in compiled.FOLDER.iterdir()}
+    program = "import rasterizer._native; print(rasterizer.__file__)"
+    command, environment = [sys.executable, "-c", program], {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert Path(done.stdout.strip()).is_relative_to(tmp_path)
+    assert done.stderr == ""
+    assert before and {file: file.stat().st_mtime_ns for file in compiled.FOLDER.iterdir()} == before

@@ -1,4 +1,4 @@
-"""What the front door and gsplat's stages cannot take: refused in one line, with the value in it."""
+"""What the front door and gsplat's stages are passed: lists and numbers are served, the rest is refused in one line."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from rasterizer import rasterization
 from rasterizer._native import MAX_SIDE
 
 SCENE = cloud()
-TWO = cloud(cameras=2)
+TWO_SCENES = jax.tree.map(lambda x: jnp.stack([x, x]), cloud(cameras=2))
 SIZE = SCENE.width, SCENE.height
 CAMERAS = SCENE.viewmats, SCENE.Ks
 
@@ -96,12 +96,10 @@ def rasterize(**changes):
     return rasterization(**fields)
 
 
-def test_leading_dimensions_that_do_not_fit():
-    two = jax.tree.map(lambda x: jnp.stack([x, x]), TWO)
-    with pytest.raises(ValueError, match=r"opacities.shape=\(3, 40\), expected the leading dimensions of means"):
-        render(replace(two, opacities=jnp.ones((3, 40))), capacity=2048)
-    with pytest.raises(ValueError, match=r"means.shape=\(0, 40, 3\) holds no scene"):
-        render(replace(two, means=two.means[:0]), capacity=2048)
+def test_lists_are_arrays_and_a_number_is_the_background_of_every_channel():
+    lists = {name: np.asarray(value).tolist() for name, value in vars(SCENE).items()}
+    image = rasterize(**lists | {"backgrounds": 0.25})[0]
+    np.testing.assert_array_equal(image, rasterize(backgrounds=jnp.full((1, 3), 0.25))[0])
 
 
 def test_a_size_that_is_traced():
@@ -121,33 +119,52 @@ def test_a_buffer_of_unknown_length_inside_jit(backend, options):
         )
 
 
-def test_stages_of_what_does_not_fit():
-    with pytest.raises(ValueError, match="a Gaussian's shape is missing"):
-        rasterizer.fully_fused_projection(SCENE.means, None, None, None, *CAMERAS, *SIZE)
-    with pytest.raises(ValueError, match="camera_model='lidar' is not one of"):
-        rasterizer.proj(jnp.ones((1, 3, 3)), jnp.ones((1, 3, 3, 3)), SCENE.Ks, *SIZE, "lidar")
-    for count, channels, message in ((1, 0, r"\(1, 2, 0\) holds no channel"), (0, 3, r"\(0, 2, 3\) holds no camera")):
-        splats = np.ones((count, 2, 2)), np.ones((count, 2, 3)), np.ones((count, 2, channels)), np.ones((count, 2))
-        with pytest.raises(ValueError, match=message):
-            rasterizer.rasterize_to_pixels(*splats, 8, 8, 8, np.zeros((count, 1, 1), np.int32), np.zeros(0, np.int32))
+def rasterize_to_pixels(count, channels):
+    """Of as many cameras and channels."""
+    splats = np.ones((count, 2, 2)), np.ones((count, 2, 3)), np.ones((count, 2, channels)), np.ones((count, 2))
+    return rasterizer.rasterize_to_pixels(*splats, 8, 8, 8, np.zeros((count, 1, 1), np.int32), np.zeros(0, np.int32))
 
 
-def test_harmonics_that_do_not_fit():
-    directions = jnp.ones((2, 3))
-    for degree, coeffs, fault in (
-        (-1, (2, 36, 3), "degrees_to_use=-1, expected a whole number of at least 0"),
-        (5, (2, 36, 3), "degree 5"),
-        (2, (2, 4, 3), "degree 2 needs 9 .* holds 4"),
-        (0, (2, 25, 0), r"coeffs.shape=\(2, 25, 0\) holds no channel"),
-    ):
-        with pytest.raises(ValueError, match=fault):
-            rasterizer.spherical_harmonics(degree, directions, jnp.ones(coeffs))
-
-
-def test_blending_without_lists_by_a_backend_that_needs_them():
+def blend_without_lists():
     projection, grid, _ = binned(SCENE, 8)
-    with pytest.raises(ValueError, match="pairs=None: backend='xla' needs the lists of bin_splats"):
-        rasterizer.blend(projection, SCENE.opacities, SCENE.colors[None], None, grid, backend="xla")
+    rasterizer.blend(projection, SCENE.opacities, SCENE.colors[None], None, grid, backend="xla")
+
+
+def spherical_harmonics(degree, *shape):
+    return rasterizer.spherical_harmonics(degree, jnp.ones((2, 3)), jnp.ones(shape))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: render(replace(TWO_SCENES, opacities=zeros(3, 40)), capacity=2048),
+            r"opacities.shape=\(3, 40\), expected the leading dimensions of means",
+        ),
+        (
+            lambda: render(replace(TWO_SCENES, means=TWO_SCENES.means[:0]), capacity=2048),
+            r"\(0, 40, 3\) holds no scene",
+        ),
+        (
+            lambda: rasterizer.fully_fused_projection(SCENE.means, None, None, None, *CAMERAS, *SIZE),
+            "a Gaussian's shape is missing",
+        ),
+        (
+            lambda: rasterizer.proj(jnp.ones((1, 3, 3)), jnp.ones((1, 3, 3, 3)), SCENE.Ks, *SIZE, "lidar"),
+            "camera_model='lidar' is not one of",
+        ),
+        (lambda: rasterize_to_pixels(1, 0), r"\(1, 2, 0\) holds no channel"),
+        (lambda: rasterize_to_pixels(0, 3), r"\(0, 2, 3\) holds no camera"),
+        (blend_without_lists, "pairs=None: backend='xla' needs the lists of bin_splats"),
+        (lambda: spherical_harmonics(-1, 2, 36, 3), "degrees_to_use=-1, expected a whole number of at least 0"),
+        (lambda: spherical_harmonics(5, 2, 36, 3), "degree 5"),
+        (lambda: spherical_harmonics(2, 2, 4, 3), "degree 2 needs 9 .* holds 4"),
+        (lambda: spherical_harmonics(0, 2, 25, 0), r"coeffs.shape=\(2, 25, 0\) holds no channel"),
+    ],
+)
+def test_calls_that_do_not_fit(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
 
 
 @pytest.mark.parametrize(

@@ -104,27 +104,6 @@ def test_scenes_of_their_own_in_two_passes_and_absolute_gradients():
     assert_close(over_devices(absolute)(few, viewmats), jax.jit(absolute)(few, viewmats), kind="gradient")
 
 
-def test_the_stages_one_by_one():
-    gaussians, viewmats = scene(), cameras()[0]
-
-    def staged(gaussians, viewmats):
-        Ks = jnp.broadcast_to(cameras()[1], (len(viewmats), 3, 3))
-        shapes = None, gaussians["quats"], gaussians["scales"]
-        radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
-            gaussians["means"], *shapes, viewmats, Ks, 24, 16
-        )
-        _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, 8, 3, 2, capacity=512)
-        offsets = rasterizer.isect_offset_encode(ids, len(viewmats), 3, 2)
-        colors = jnp.broadcast_to(gaussians["colors"], (len(viewmats), GAUSSIANS, 3))
-        opacities = jnp.broadcast_to(gaussians["opacities"], (len(viewmats), GAUSSIANS))
-        masks = jnp.ones((len(viewmats), 2, 3), bool)
-        return rasterizer.rasterize_to_pixels(
-            means2d, conics, colors, opacities, 24, 16, 8, offsets, splats, masks=masks
-        )
-
-    assert_close(over_devices(staged)(gaussians, viewmats), jax.jit(staged)(gaussians, viewmats))
-
-
 def test_a_view_of_gsjax():
     gaussians, (viewmats, Ks) = scene(), cameras()
     K, black, how = Ks[0], jnp.zeros(3, jnp.float32), {"with_depth": True, "depth_mode": "front"}
