@@ -18,10 +18,6 @@ SCENE = replace(cloud(), scales=2 * cloud().scales)
 ENOUGH = 2048
 
 
-def batch_of(*scenes):
-    return jax.tree.map(lambda *x: jnp.stack(x), *scenes)
-
-
 def test_no_capacity_just_works_eagerly():
     image, alphas, info = render(SCENE)
     expected, expected_alphas, roomy = render(SCENE, capacity=ENOUGH)
@@ -35,7 +31,9 @@ def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
     # The second scene needs a fraction of the pairs of the first: the batch takes the larger capacity.
     scenes = [SCENE, replace(SCENE, scales=0.2 * SCENE.scales)]
     gradient_and_rest = jax.grad(partial(loss, backend="native"), has_aux=True)
-    gradient, (batch_image, batch_alphas, info) = jax.vmap(gradient_and_rest)(batch_of(*scenes))
+    gradient, (batch_image, batch_alphas, info) = jax.vmap(gradient_and_rest)(
+        jax.tree.map(lambda *x: jnp.stack(x), *scenes)
+    )
     assert not info["overflowed"].any()
     for i, scene in enumerate(scenes):
         image, alphas, alone, expected = evaluate(scene, "native")

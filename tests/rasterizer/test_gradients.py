@@ -1,8 +1,6 @@
-"""Derivatives against finite differences, of any order by the reference; and the page about them."""
+"""Derivatives against finite differences, of any order by the reference."""
 
-import re
 from dataclasses import fields, replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +10,6 @@ from jax.test_util import check_grads
 from scenes import (
     BACKENDS,
     NO_THRESHOLDS,
-    cloud,
-    evaluate,
     in_float64,
     loss,
     render,
@@ -26,7 +22,6 @@ import rasterizer
 FIELDS = [f.name for f in fields(smooth()) if not f.metadata]
 STEP = 1e-6
 OTHERS = [each for each in BACKENDS if each != "native"]
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "differentiation.md"
 
 
 @pytest.fixture(scope="module")
@@ -90,18 +85,6 @@ def test_forward_mode_against_central_differences(x64, scene, directions):
         np.testing.assert_allclose(pushforward(scene, directions[name])[1], slope, rtol=1e-7, atol=1e-8, err_msg=name)
 
 
-def test_what_no_pixel_sees_has_exactly_zero_gradient():
-    scene = cloud()
-    _, _, info, gradient = evaluate(scene, "native")
-    listed = np.zeros(scene.means.shape[0], bool)
-    listed[np.asarray(info["splats"])[: int(info["offsets"][-1])]] = True
-    assert 0 < (~listed).sum() < listed.size
-    for name in ("means", "quats", "scales", "opacities", "colors"):
-        rows = np.asarray(getattr(gradient, name)).reshape(listed.size, -1)
-        np.testing.assert_array_equal(rows[~listed], 0)
-        assert np.all(np.abs(rows[listed]).sum(-1) > 0) or name == "scales"
-
-
 def image_of(scene, **arrays):
     image, alphas, _ = render(replace(scene, **arrays), backend="reference", rules=rasterizer.SMOOTH)
     return jnp.concatenate([image, alphas], -1)
@@ -116,20 +99,6 @@ def test_both_modes_to_second_order(x64):
     arrays = {name: getattr(scene, name) for name in FIELDS}
     for each in (functional, jax.jit(jax.grad(functional))):
         check_grads(each, (arrays,), order=1, modes=("fwd", "rev"), rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.long
-def test_the_page_finds_the_pose(capsys):
-    programs = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    (program,) = (each for each in programs if "errors" in each)
-    names = {}
-    exec(program, names)
-    errors = names["errors"]
-    assert errors[0] > 1e-3 and errors[-1] < 1e-5
-    # What the page says it prints; the last digits belong to the machine.
-    printed = re.search(r"after each step:\n\n    (.*)\n", PAGE.read_text()).group(1).split()
-    assert len(printed) == len(capsys.readouterr().out.split()) == 8
-    np.testing.assert_allclose(np.log10(errors[:3]), np.log10([float(p) for p in printed[:3]]), atol=0.5)
 
 
 @pytest.mark.parametrize("backend", ["native", *(pytest.param(each, marks=pytest.mark.long) for each in OTHERS)])

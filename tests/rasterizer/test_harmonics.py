@@ -167,8 +167,3 @@ def test_without_upper_bands_values_are_zero_and_no_rows_have_none(backend):
         values = upper_bands(jnp.ones((5, 3)), jnp.zeros((5, 0, 3)), weights, backend=backend)
         np.testing.assert_array_equal(values, np.zeros((5, 3)))
     assert upper_bands(jnp.zeros((0, 3)), jnp.zeros((0, 15, 3)), backend=backend).shape == (0, 3)
-
-
-def test_weights_of_another_number_of_rows_are_an_error():
-    with pytest.raises(ValueError, match="broadcast"):
-        upper_bands(jnp.ones((5, 3)), jnp.ones((5, 15, 3)), jnp.ones((2, 15)))

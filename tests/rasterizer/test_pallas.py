@@ -132,13 +132,13 @@ def tile():
     scene = stacks(count=24, size=(16, 16))
     projection, grid, pairs = splats_and_lists(scene, 64)
 
-    def loss(engine, front, *splats):
-        static = Static(grid, GSPLAT, engine, True, front)
+    def loss(engine, *splats):
+        static = Static(grid, GSPLAT, engine, True)
         image, left, median = composite(static, *splats, (pairs.splats, pairs.offsets))
         return jnp.sum(image**2) + jnp.sum(left), (image, left, median)
 
-    def program(engine, front=None):
-        return jax.jit(jax.value_and_grad(partial(loss, engine, front), (0, 1, 2, 3), has_aux=True))
+    def program(engine):
+        return jax.jit(jax.value_and_grad(partial(loss, engine), (0, 1, 2, 3), has_aux=True))
 
     return program, (projection.means2d[0], projection.conics[0], scene.opacities, scene.colors)
 

@@ -143,7 +143,7 @@ def spherical_harmonics(degree, *shape):
         ),
         (
             lambda: render(replace(TWO_SCENES, means=TWO_SCENES.means[:0]), capacity=2048),
-            r"\(0, 40, 3\) holds no scene",
+            r"means.shape=\(0, 40, 3\) holds no scene",
         ),
         (
             lambda: rasterizer.fully_fused_projection(SCENE.means, None, None, None, *CAMERAS, *SIZE),

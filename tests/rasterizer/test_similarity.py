@@ -98,10 +98,8 @@ def test_a_bad_number_spreads_as_in_jnp(bad):
 
 def test_the_loops_under_vmap_and_twice_differentiated_are_the_jnp_code():
     image, target, mask = map(jnp.asarray, pair((24, 70, 3)))
-    images, weights = (
-        jnp.stack([image, 0.5 * image]),
-        np.random.default_rng(1).normal(size=image.shape).astype(np.float32),
-    )
+    images = jnp.stack([image, 0.5 * image])
+    weights = np.random.default_rng(1).normal(size=image.shape).astype(np.float32)
 
     def projected(image, target, backend):
         gradient = jax.grad(partial(ssim, backend=backend))(image, target, mask)

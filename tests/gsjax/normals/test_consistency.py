@@ -61,13 +61,10 @@ def test_true_normals_are_kept():
     assert all(np.all(one.confidence[~np.any(v.normals, -1)] == 0) for one, v in zip(photos, VIEWS, strict=True))
 
 
-def test_maps_that_only_face_their_cameras_say_nothing():
+def test_maps_that_only_face_their_cameras_and_of_random_directions_are_rejected():
     photos, verdict = judge_maps(with_maps([FACING] * len(VIEWS)))
     assert not verdict.is_accepted and verdict.share == 0 and abs(verdict.evidence or 1) < 0.1
     assert not any(one.confidence.any() for one in photos)
-
-
-def test_maps_of_random_directions_are_rejected():
     rng = np.random.default_rng(0)
     noise = [rng.normal(size=(HEIGHT, WIDTH, 3)) for _ in VIEWS]
     _, verdict = judge_maps(with_maps([n / np.linalg.norm(n, axis=-1, keepdims=True) for n in noise]))
