@@ -15,16 +15,6 @@ import rasterizer.capacity
 from rasterizer import capacity_bucket
 
 SCENE = replace(cloud(), scales=2 * cloud().scales)
-ENOUGH = 2048
-
-
-def test_no_capacity_just_works_eagerly():
-    image, alphas, info = render(SCENE)
-    expected, expected_alphas, roomy = render(SCENE, capacity=ENOUGH)
-    np.testing.assert_array_equal(image, expected)
-    np.testing.assert_array_equal(alphas, expected_alphas)
-    assert not info["overflowed"]
-    assert info["splats"].size == capacity_bucket(int(roomy["needed"]))
 
 
 def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():

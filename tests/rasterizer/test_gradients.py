@@ -7,15 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
-from scenes import (
-    BACKENDS,
-    NO_THRESHOLDS,
-    in_float64,
-    loss,
-    render,
-    smooth,
-    textbook,
-)
+from scenes import BACKENDS, NO_THRESHOLDS, in_float64, loss, render, smooth, textbook
 
 import rasterizer
 

@@ -1,5 +1,4 @@
 from functools import partial
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -7,10 +6,9 @@ import jax.test_util
 import numpy as np
 import pytest
 import scipy.special
-from jaxprs import equations
 from tolerances import assert_close
 
-from rasterizer import harmonics, spherical_harmonics, upper_bands
+from rasterizer import spherical_harmonics, upper_bands
 
 
 def unit_directions(count=50):
@@ -38,18 +36,6 @@ def test_every_basis_function_against_scipy(degree, x64):
     basis = spherical_harmonics(degree, jnp.asarray(directions), jnp.eye(count, dtype=jnp.float64)[None])
     expected = [real_harmonic(d, m, directions) for d in range(degree + 1) for m in range(-d, d + 1)]
     assert_close(basis, np.stack(expected, -1), rtol=0, atol=1e-12, why="zeros are compared; constants have 16 digits")
-
-
-def test_only_a_cpu_sums_bands_by_a_product_of_matrices(monkeypatch):
-    """The matrix units of a GPU round, and its products of small matrices are slow."""
-    rng = np.random.default_rng(5)
-    directions, coeffs = rng.normal(size=(8, 3)), rng.normal(size=(8, 16, 3))
-    directions, coeffs = jnp.asarray(directions, jnp.float32), jnp.asarray(coeffs, jnp.float32)
-    on_cpu = jax.jit(partial(spherical_harmonics, 3))(directions, coeffs)
-    monkeypatch.setattr(harmonics, "default_device", lambda: SimpleNamespace(platform="gpu"))
-    program = jax.make_jaxpr(jax.grad(lambda *x: jnp.sum(spherical_harmonics(3, *x)), (0, 1)))(directions, coeffs)
-    assert not any(equation.primitive.name == "dot_general" for equation in equations(program.jaxpr))
-    assert_close(jax.jit(lambda *x: spherical_harmonics(3, *x))(directions, coeffs), on_cpu)
 
 
 @jax.jit
@@ -91,8 +77,8 @@ def with_pulled(directions, coeffs, weights, cotangents, backend):
 @pytest.mark.parametrize(
     ("backend", "bands", "rows_of_weights", "count"),
     [
-        ("native", 3, 0, 1100),
-        ("native", 8, 1, 1),
+        ("native", 3, 0, 1),
+        ("native", 8, 1, 1100),
         ("native", 15, 2, 1100),
         ("xla", 15, 2, 1100),
     ],
@@ -153,12 +139,6 @@ def test_forward_mode_of_the_loops_is_an_error_and_of_the_reference_is_not():
         jax.jit(lambda *x: jax.jvp(upper_bands, x, x)[1])(directions, coeffs)
     _, tangent = jax.jvp(partial(upper_bands, backend="reference"), (directions, coeffs), (directions, coeffs))
     assert_close(tangent, upper_bands(directions, coeffs))  # Linear in coefficients; along a direction nothing changes.
-
-
-def test_a_direction_may_serve_all_rows():
-    coeffs = jnp.asarray(np.random.default_rng(9).normal(size=(3, 15, 3)), jnp.float32)
-    direction, run = jnp.array([1.0, 2.0, 3.0]), jax.jit(upper_bands)
-    assert_close(run(direction, coeffs), run(jnp.tile(direction, (3, 1)), coeffs))
 
 
 @pytest.mark.parametrize("backend", LOOPS_AND_JNP)

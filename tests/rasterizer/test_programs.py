@@ -2,18 +2,12 @@
 
 from collections import Counter
 from dataclasses import replace
-from types import SimpleNamespace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxprs import equations
 from scenes import cloud, loss, render
-from tolerances import assert_close
-
-import rasterizer
-from rasterizer import tracing
 
 COUNT = 41  # Like no other size in the program.
 
@@ -68,22 +62,11 @@ def operations(program):
     return Counter(e.primitive.name for e in program)
 
 
-def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
-    """There the branch is a wall to fusion; a GPU would wait for it."""
+def test_an_option_adds_its_operations_and_its_absence_none():
     scene = transparent(cloud(COUNT))
-    shape = scene.means, scene.quats, scene.scales, scene.opacities, scene.viewmats, scene.Ks
-
-    def branches():
-        def total(*arrays):
-            return jnp.sum(rasterizer.project(*arrays, scene.width, scene.height, backend="xla").conics)
-
-        return operations(equations(jax.make_jaxpr(jax.grad(total))(*shape).jaxpr))["cond"], total(*shape)
-
-    on_cpu, expected = branches()
-    monkeypatch.setattr(tracing, "default_device", lambda: SimpleNamespace(platform="gpu"))
-    on_gpu, value = branches()
-    assert on_cpu >= 2 and on_gpu == 0
-    assert_close(value, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
+    without = operations(forward(scene))
+    for options, primitive in (({"rasterize_mode": "antialiased"}, "sqrt"), ({"return_normals": True}, "argmin")):
+        assert operations(forward(scene, **options))[primitive] > without[primitive]
 
 
 def test_no_array_of_tiles_by_splats_nor_of_pairs_by_pixels():

@@ -94,16 +94,3 @@ def test_axes_have_names_and_anything_else_is_an_error():
     for wrong in ("", "xyz", "+x+y", "+x+y+z ", "OpenGL"):
         with pytest.raises(InputError, match="expected three signs such as .*, or one of " + ", ".join(NAMED_AXES)):
             axis_signs(wrong)
-
-
-@pytest.mark.parametrize(
-    ("votes", "verdict"),
-    [
-        ([[210, 790], *[[0, 0]] * 6], "not"),
-        ([[190, 810], *[[0, 0]] * 6], "doubtful"),
-        ([[790, 210]] * 7, "not contradicted"),
-        ([[810, 190]] * 7, "confirmed"),
-    ],
-)
-def test_four_fifths_of_the_votes_decide(votes, verdict):
-    assert axes_verdict(np.array(votes)).startswith(verdict)

@@ -30,9 +30,8 @@ def rays_through(pixels):
 
 
 RAYS = rays_through(np.stack(np.meshgrid(np.arange(40) + 0.5, np.arange(36) + 0.5), -1))
-CORNERS = np.stack(np.meshgrid(np.arange(4, 37), np.arange(4, 33)), -1).astype(
-    float
-)  # there a patch's slope is central
+# There a patch's slope is central.
+CORNERS = np.stack(np.meshgrid(np.arange(4.0, 37), np.arange(4.0, 33)), -1)
 
 
 def plane_depth(normal, rays=RAYS):
