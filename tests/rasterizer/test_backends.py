@@ -29,7 +29,7 @@ def test_colours_may_differ_between_cameras():
     scene = cloud(cameras=2)
     colors = jnp.stack([scene.colors, 1 - scene.colors])
     image = render(replace(scene, colors=colors), capacity=2048)[0]
-    alike = [render(replace(scene, colors=each), capacity=2048)[0][i] for i, each in enumerate(colors)]
+    alike = [evaluate(replace(scene, colors=each), OWN)[0][i] for i, each in enumerate(colors)]
     assert_close(image, jnp.stack(alike))
 
 
@@ -78,10 +78,7 @@ def layers(count, opacity):
     return replace(one, **rows | {"means": rows["means"] + ahead})
 
 
-@pytest.mark.parametrize(
-    ("backend", "stop_after"),
-    [(OWN, 0.0), (OWN, 0.16), (OWN, 0.9), *((each, 0.3) for each in BACKENDS)],
-)
+@pytest.mark.parametrize(("backend", "stop_after"), [(OWN, 0.0), *((each, 0.3) for each in BACKENDS)])
 def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
     """Of four layers of alpha 0.6, each leaves 0.4 of the light: what each layer adds to its own channel."""
     scene = layers(4, opacity=0.6)

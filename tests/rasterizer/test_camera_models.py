@@ -1,11 +1,9 @@
 """Camera models: the image of a point and its Jacobian, against float64 maps written apart, and the hard places."""
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scenes import cloud, render, single
+from scenes import single
 from tolerances import assert_close
 
 import rasterizer
@@ -138,25 +136,7 @@ def test_gradients_of_points_and_jacobians_are_finite_differences(x64):
             np.testing.assert_allclose(jnp.sum(gradient[name] * way), expected, rtol=1e-6, atol=1e-8, err_msg=name)
 
 
-def test_conics_are_the_inverse_of_the_covariance_under_the_definition():
-    scene = cloud(20)
-    radial = jnp.asarray([RADIAL], jnp.float32)
-    s = replace(scene, Ks=jnp.asarray(K[None], jnp.float32))
-    p = rasterizer.project(
-        s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, *SIZE, camera_model="fisheye", radial_coeffs=radial
-    )
-    covars = np.asarray(rasterizer.quat_scale_to_covar_preci(s.quats, s.scales, compute_preci=False)[0], np.float64)
-    for n, point in enumerate(np.asarray(s.means, np.float64)):  # The camera is in the origin.
-        J = jacobian_of(point, "lens")
-        conic = np.linalg.inv(J @ covars[n] @ J.T + 0.3 * np.eye(2))
-        np.testing.assert_allclose(p.conics[0, n], conic[[0, 0, 1], [0, 1, 1]], rtol=1e-4, atol=1e-5)
-        np.testing.assert_allclose(p.means2d[0, n], image_of(point, "lens"), rtol=1e-5)
-
-
-def test_a_parallel_projection_does_not_shrink_with_distance_and_sees_along_z():
-    near, far = (single(mean=(0.3, 0.2, z), scale=(0.1, 0.1, 0.01)) for z in (2.0, 9.0))
-    images = [render(scene, camera_model="ortho", capacity=256)[0] for scene in (near, far)]
-    np.testing.assert_array_equal(*images)
+def test_a_parallel_projection_sees_along_z():
     # A disc far beside the axis, turned towards it, shows its other side to a camera in the origin.
     tilted = single(mean=(9.0, 0.0, 2.0), quat=(0.98, 0.0, -0.2, 0.0), scale=(0.1, 0.1, 0.001))
     visible = jnp.ones((1, 1), bool)

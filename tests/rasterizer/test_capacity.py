@@ -15,27 +15,15 @@ import rasterizer.capacity
 from rasterizer import capacity_bucket
 
 SCENE = replace(cloud(), scales=2 * cloud().scales)
-ENOUGH = 2048
-
-
-def batch_of(*scenes):
-    return jax.tree.map(lambda *x: jnp.stack(x), *scenes)
-
-
-def test_no_capacity_just_works_eagerly():
-    image, alphas, info = render(SCENE)
-    expected, expected_alphas, roomy = render(SCENE, capacity=ENOUGH)
-    np.testing.assert_array_equal(image, expected)
-    np.testing.assert_array_equal(alphas, expected_alphas)
-    assert not info["overflowed"]
-    assert info["splats"].size == capacity_bucket(int(roomy["needed"]))
 
 
 def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
     # The second scene needs a fraction of the pairs of the first: the batch takes the larger capacity.
     scenes = [SCENE, replace(SCENE, scales=0.2 * SCENE.scales)]
     gradient_and_rest = jax.grad(partial(loss, backend="native"), has_aux=True)
-    gradient, (batch_image, batch_alphas, info) = jax.vmap(gradient_and_rest)(batch_of(*scenes))
+    gradient, (batch_image, batch_alphas, info) = jax.vmap(gradient_and_rest)(
+        jax.tree.map(lambda *x: jnp.stack(x), *scenes)
+    )
     assert not info["overflowed"].any()
     for i, scene in enumerate(scenes):
         image, alphas, alone, expected = evaluate(scene, "native")
@@ -46,13 +34,16 @@ def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
             assert error < 1e-4, (name, error)
 
 
-def test_too_small_a_capacity_says_so_and_what_is_needed():
-    image, _, info = render(SCENE, capacity=192)
+@pytest.mark.parametrize(
+    "backend", ["native", *(pytest.param(each, marks=pytest.mark.long) for each in ("xla", "pallas"))]
+)
+def test_too_small_a_capacity_says_so_and_what_is_needed_and_stays_finite(backend):
+    image, _, info, gradient = evaluate(SCENE, backend, capacity=192)
     assert info["overflowed"]
-    assert np.isfinite(image).all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((image, gradient)))
     needed = int(info["needed"])
     assert needed > 192
-    assert not render(SCENE, capacity=capacity_bucket(needed))[2]["overflowed"]
+    assert not render(SCENE, capacity=capacity_bucket(needed), backend=backend)[2]["overflowed"]
 
 
 def test_buckets_hold_and_waste_at_most_half():

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import cloud, loss
+from scenes import cloud, evaluate, in_float64, loss
 from tolerances import assert_close
 
 SCENE = cloud()
@@ -55,14 +55,19 @@ def test_other_dtypes_are_cast_and_gradients_come_back_in_them():
 
 
 @pytest.mark.parametrize("backend", ["reference", "native"])
-def test_float64_is_read_as_float32_but_by_the_reference(backend, x64):
-    finer = jax.tree.map(lambda x: jnp.asarray(np.asarray(x), jnp.float64), SCENE)
-    image, slopes = image_and_gradients(finer, ("means",), backend)
-    assert image.dtype == (jnp.float64 if backend == "reference" else jnp.float32)
-    assert slopes["means"].dtype == jnp.float64
-    # Cameras alone are in float64 where they come from numpy: the Gaussians decide.
+def test_the_dtype_of_the_gaussians_decides_and_float64_is_the_references_alone(backend, x64):
+    """Cameras alone are in float64 where they come from numpy."""
+    finer = in_float64(SCENE)
     cameras = replace(SCENE, viewmats=finer.viewmats, Ks=finer.Ks)
-    coarse, slopes = image_and_gradients(cameras, ("viewmats",), backend)
-    assert coarse.dtype == jnp.float32
-    assert slopes["viewmats"].dtype == jnp.float64
-    assert_close(image.astype(jnp.float32), coarse)
+    own = jnp.float64 if backend == "reference" else jnp.float32
+    for scene, name, dtype in ((finer, "means", own), (cameras, "viewmats", jnp.float32)):
+        image, slopes = jax.eval_shape(partial(image_and_gradients, names=(name,), backend=backend), scene)
+        assert image.dtype == dtype and slopes[name].dtype == jnp.float64
+
+
+def test_float64_is_rendered_as_float32():
+    expected, _, _, gradient = evaluate(SCENE, "native")
+    with jax.enable_x64(True):
+        image, slopes = image_and_gradients(in_float64(SCENE), ("means",), "native")
+    assert_close(image, expected)
+    assert_close(np.float32(slopes["means"]), gradient.means, kind="gradient")

@@ -1,5 +1,4 @@
 from functools import partial
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -7,10 +6,9 @@ import jax.test_util
 import numpy as np
 import pytest
 import scipy.special
-from jaxprs import equations
 from tolerances import assert_close
 
-from rasterizer import harmonics, spherical_harmonics, upper_bands
+from rasterizer import spherical_harmonics, upper_bands
 
 
 def unit_directions(count=50):
@@ -38,18 +36,6 @@ def test_every_basis_function_against_scipy(degree, x64):
     basis = spherical_harmonics(degree, jnp.asarray(directions), jnp.eye(count, dtype=jnp.float64)[None])
     expected = [real_harmonic(d, m, directions) for d in range(degree + 1) for m in range(-d, d + 1)]
     assert_close(basis, np.stack(expected, -1), rtol=0, atol=1e-12, why="zeros are compared; constants have 16 digits")
-
-
-def test_only_a_cpu_sums_bands_by_a_product_of_matrices(monkeypatch):
-    """The matrix units of a GPU round, and its products of small matrices are slow."""
-    rng = np.random.default_rng(5)
-    directions, coeffs = rng.normal(size=(8, 3)), rng.normal(size=(8, 16, 3))
-    directions, coeffs = jnp.asarray(directions, jnp.float32), jnp.asarray(coeffs, jnp.float32)
-    on_cpu = jax.jit(partial(spherical_harmonics, 3))(directions, coeffs)
-    monkeypatch.setattr(harmonics, "default_device", lambda: SimpleNamespace(platform="gpu"))
-    program = jax.make_jaxpr(jax.grad(lambda *x: jnp.sum(spherical_harmonics(3, *x)), (0, 1)))(directions, coeffs)
-    assert not any(equation.primitive.name == "dot_general" for equation in equations(program.jaxpr))
-    assert_close(jax.jit(lambda *x: spherical_harmonics(3, *x))(directions, coeffs), on_cpu)
 
 
 @jax.jit
@@ -91,11 +77,9 @@ def with_pulled(directions, coeffs, weights, cotangents, backend):
 @pytest.mark.parametrize(
     ("backend", "bands", "rows_of_weights", "count"),
     [
-        ("native", 3, 0, 1100),
+        ("native", 3, 0, 1),
         ("native", 8, 1, 1100),
-        ("native", 15, 0, 1100),
-        ("native", 15, 2, 1),
-        ("xla", 15, 0, 1),
+        ("native", 15, 2, 1100),
         ("xla", 15, 2, 1100),
     ],
 )
@@ -133,22 +117,20 @@ def test_what_is_not_finite_stays_in_its_row(backend):
     rng = np.random.default_rng(8)
     directions, coeffs = rng.normal(size=(40, 3)).astype(np.float32), rng.normal(size=(40, 15, 3)).astype(np.float32)
     bad_directions, bad_coeffs = directions.copy(), coeffs.copy()
-    bad_directions[3], bad_coeffs[17, 4, 1] = np.nan, np.inf
-    others = np.setdiff1d(np.arange(40), [3, 17])
+    bad_directions[3], bad_coeffs[17, 4, 1], bad_coeffs[25] = np.nan, np.inf, np.inf
+    others = np.setdiff1d(np.arange(40), [3, 17, 25])
+    cotangents = np.ones((40, 3), np.float32)
+    cotangents[25] = 0
 
     def both(directions, coeffs):
-        return with_pulled(directions, coeffs, None, np.ones((40, 3), np.float32), backend)[:3]
+        return with_pulled(directions, coeffs, None, cotangents, backend)[:3]
 
-    for bad, good in zip(both(bad_directions, bad_coeffs), both(directions, coeffs), strict=True):
+    bad_results = both(bad_directions, bad_coeffs)
+    for bad, good in zip(bad_results, both(directions, coeffs), strict=True):
         np.testing.assert_array_equal(bad[others], good[others])
-    assert np.isnan(both(bad_directions, bad_coeffs)[0][3]).all()
-
-
-def test_a_row_that_nothing_depends_on_has_no_gradient_whatever_it_holds():
-    coeffs = jnp.full((2, 15, 3), jnp.inf, jnp.float32).at[0].set(1.0)
-    directions = jnp.ones((2, 3), jnp.float32)
-    for gradient in with_pulled(directions, coeffs, None, jnp.zeros((2, 3)).at[0].set(1.0), "native")[1:3]:
-        assert np.isfinite(gradient).all() and not np.any(gradient[1]) and np.any(gradient[0])
+    assert np.isnan(bad_results[0][3]).all()
+    if backend == "native":
+        assert not any(np.any(gradient[25]) for gradient in bad_results[1:]), "nothing depends on that row"
 
 
 def test_forward_mode_of_the_loops_is_an_error_and_of_the_reference_is_not():
@@ -159,24 +141,9 @@ def test_forward_mode_of_the_loops_is_an_error_and_of_the_reference_is_not():
     assert_close(tangent, upper_bands(directions, coeffs))  # Linear in coefficients; along a direction nothing changes.
 
 
-def test_no_rows_have_no_values():
-    empty = jnp.zeros((0, 3)), jnp.zeros((0, 15, 3))
-    assert_close(with_pulled(*empty, None, jnp.zeros((0, 3)), "native")[:3], (jnp.zeros((0, 3)), *empty))
-
-
-def test_a_direction_may_serve_all_rows():
-    coeffs = jnp.asarray(np.random.default_rng(9).normal(size=(3, 15, 3)), jnp.float32)
-    direction, run = jnp.array([1.0, 2.0, 3.0]), jax.jit(upper_bands)
-    assert_close(run(direction, coeffs), run(jnp.tile(direction, (3, 1)), coeffs))
-
-
 @pytest.mark.parametrize("backend", LOOPS_AND_JNP)
-def test_without_upper_bands_values_are_zero(backend):
+def test_without_upper_bands_values_are_zero_and_no_rows_have_none(backend):
     for weights in (None, jnp.ones((1, 0))):
         values = upper_bands(jnp.ones((5, 3)), jnp.zeros((5, 0, 3)), weights, backend=backend)
         np.testing.assert_array_equal(values, np.zeros((5, 3)))
-
-
-def test_weights_of_another_number_of_rows_are_an_error():
-    with pytest.raises(ValueError, match="broadcast"):
-        upper_bands(jnp.ones((5, 3)), jnp.ones((5, 15, 3)), jnp.ones((2, 15)))
+    assert upper_bands(jnp.zeros((0, 3)), jnp.zeros((0, 15, 3)), backend=backend).shape == (0, 3)

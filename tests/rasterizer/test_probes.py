@@ -15,7 +15,9 @@ pytestmark = pytest.mark.device
 FRONT = Front(4, 0.2)
 
 
-def weighted_sum(arrays, weights, projection, pairs, grid, *, backend, front):
+@partial(jax.jit, static_argnames=("grid", "backend", "front"))
+@partial(jax.value_and_grad, has_aux=True)
+def sum_and_gradients(arrays, weights, projection, pairs, grid, *, backend, front):
     """Of the image and the light left, so that every gradient is that of known weights."""
     means2d, conics, opacities, features, probes = arrays
     placed = projection._replace(means2d=means2d, conics=conics)
@@ -25,14 +27,21 @@ def weighted_sum(arrays, weights, projection, pairs, grid, *, backend, front):
     return jnp.sum(weights * jnp.concatenate([image, left], -1)), zeros
 
 
-LOOPS = ["native", "listing"] if "native" in BACKENDS else []
+LOOPS = [
+    ("native", 3, None, 2),
+    ("native", 1, None, 1),
+    ("native", 7, FRONT, 4),
+    ("native", 15, None, 2),
+    ("listing", 7, FRONT, 2),
+    ("listing", 15, None, 2),
+]
+LOOPS = LOOPS if "native" in BACKENDS else []
 
 
 @pytest.mark.parametrize(
-    ("channels", "front", "count"),
-    [(3, None, 2), (1, None, 1), (3, None, 4), (7, FRONT, 2), (7, FRONT, 4), (15, None, 2)],
+    ("backend", "channels", "front", "count"),
+    [*LOOPS, ("xla", 7, FRONT, 4), pytest.param("pallas", 7, FRONT, 4, marks=pytest.mark.long)],
 )
-@pytest.mark.parametrize("backend", [*LOOPS, "xla", pytest.param("pallas", marks=pytest.mark.long)])
 def test_a_probe_has_the_gradient_of_a_channel_of_zeros(backend, channels, front, count):
     """`listing`: the native loops list splats by themselves. 15 and 2 channels are over those of one pass."""
     scene, random = cloud(cameras=2), np.random.default_rng(0)
@@ -44,14 +53,13 @@ def test_a_probe_has_the_gradient_of_a_channel_of_zeros(backend, channels, front
     arrays = projection.means2d, projection.conics, opacities, features, jnp.zeros((*shape, count), jnp.float32)
     size = 2, scene.height, scene.width
     weights = jnp.asarray(random.normal(size=(*size, channels + count + 1)), jnp.float32)
-    differentiated = jax.jit(jax.value_and_grad(partial(weighted_sum, front=front), has_aux=True),
-                             static_argnames=("grid", "backend"))  # fmt: skip
+    how = {"grid": grid, "front": front}
     listed = None if backend == "listing" else pairs
-    (value, zeros), gradients = differentiated(arrays, weights, projection, listed, grid=grid, backend=engine)
+    (value, zeros), gradients = sum_and_gradients(arrays, weights, projection, listed, backend=engine, **how)
     np.testing.assert_array_equal(zeros, 0)
     with jax.enable_x64(True):
         single = arrays, weights, projection
         double = jax.tree.map(lambda x: np.asarray(x, np.float64) if x.dtype == jnp.float32 else x, single)
-        (expected, _), oracle = differentiated(*double, pairs=None, grid=grid, backend="reference")
+        (expected, _), oracle = sum_and_gradients(*double, pairs=None, backend="reference", **how)
     assert_close((value, gradients[-1]), (expected, oracle[-1]), kind="gradient")
     assert_close(gradients[:-1], oracle[:-1], kind="gradient")

@@ -1,84 +1,17 @@
-"""What must hold for every scene: invariances, linearity, and that a batch is its members."""
+"""What must hold on every engine: two runs have the same bits, and a batch is its members."""
 
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scenes import GAUSSIAN_FIELDS, cloud, evaluate, relative_errors
-from scipy.spatial.transform import Rotation
+from scenes import cloud, evaluate, relative_errors
 from tolerances import assert_close
 
-few = settings(max_examples=5, deadline=None, derandomize=True)
-seeds = st.integers(0, 2**31 - 1)
 
-
-def assert_gradients_close(actual, expected, bound=1e-4):
-    for field, error in relative_errors(actual, expected).items():
-        assert error < bound, (field, error)
-
-
-@few
-@given(seeds)
-def test_the_order_in_memory_does_not_matter(seed):
-    scene = cloud(seed=seed)
-    order = np.random.default_rng(seed).permutation(scene.means.shape[0])
-    shuffled = replace(scene, **{f: getattr(scene, f)[order] for f in GAUSSIAN_FIELDS})
-    image, alphas, _, gradient = evaluate(scene, "xla")
-    shuffled_image, shuffled_alphas, _, shuffled_gradient = evaluate(shuffled, "xla")
-    np.testing.assert_array_equal(shuffled_image, image)
-    np.testing.assert_array_equal(shuffled_alphas, alphas)
-    expected = replace(gradient, **{f: getattr(gradient, f)[order] for f in GAUSSIAN_FIELDS})
-    assert_gradients_close(shuffled_gradient, expected)
-
-
-@few
-@given(seeds)
-def test_images_are_linear_in_the_colours(seed):
-    scene, other = cloud(seed=seed), cloud(seed=seed + 1)
-    mixed = replace(
-        scene,
-        colors=2 * scene.colors - 0.5 * other.colors,
-        backgrounds=2 * scene.backgrounds - 0.5 * other.backgrounds,
-    )
-    second = replace(scene, colors=other.colors, backgrounds=other.backgrounds)
-    images = [evaluate(s, "xla")[0] for s in (mixed, scene, second)]
-    assert_close(images[0], 2 * images[1] - 0.5 * images[2])
-
-
-@few
-@given(seeds)
-def test_moving_world_and_camera_together_changes_nothing(seed):
-    scene, rng = cloud(seed=seed), np.random.default_rng(seed)
-    turn, axes = Rotation.from_quat(rng.normal(size=4)), Rotation.from_quat(scene.quats, scalar_first=True)
-    rotation = turn.as_matrix()
-    shift = rng.uniform(-2, 2, 3)
-    back = np.eye(4)
-    back[:3, :3], back[:3, 3] = rotation.T, -rotation.T @ shift
-    moved = replace(
-        scene,
-        means=jnp.asarray(np.asarray(scene.means) @ rotation.T + shift, jnp.float32),
-        quats=jnp.asarray((turn * axes).as_quat(scalar_first=True), jnp.float32),
-        viewmats=jnp.asarray(np.asarray(scene.viewmats) @ back, jnp.float32),
-    )
-    image, alphas, _, gradient = evaluate(scene, "xla")
-    moved_image, moved_alphas, _, moved_gradient = evaluate(moved, "xla")
-    # A pixel may sit on the alpha cut in one frame and not in the other.
-    for a, b in ((moved_image, image), (moved_alphas, alphas)):
-        difference = np.abs(a - b)
-        assert np.quantile(difference, 0.995) < 2e-5
-        assert difference.max() < 0.01
-    np.testing.assert_allclose(moved_gradient.colors, gradient.colors, atol=0.02)
-    turned_back = np.asarray(moved_gradient.means) @ rotation
-    assert np.linalg.norm(turned_back - gradient.means) < 1e-2 * np.linalg.norm(gradient.means)
-
-
-@pytest.mark.parametrize(
-    "backend", ["native", *(pytest.param(each, marks=pytest.mark.long) for each in ("xla", "pallas"))]
-)
+# `test_native_calls` shows the same of the native loops.
+@pytest.mark.long
+@pytest.mark.parametrize("backend", ["xla", "pallas"])
 def test_two_runs_give_the_same_bits_and_a_batch_of_cameras_is_its_cameras_with_their_gradients(backend):
     scene = cloud(cameras=2)
     cameras = {name: getattr(scene, name)[:, None] for name in ("viewmats", "Ks", "backgrounds")}
@@ -90,10 +23,9 @@ def test_two_runs_give_the_same_bits_and_a_batch_of_cameras_is_its_cameras_with_
     for i in range(2):
         alone = {k: v[i] for k, v in cameras.items()}
         expected_image, expected_alphas, _, expected_gradient = expected = with_camera(alone)
-        for again, first in zip(
-            with_camera(alone)[::3], expected[::3], strict=True
-        ):  # Lists have rubbish at their end.
-            jax.tree.map(np.testing.assert_array_equal, again, first)
+        # Lists have rubbish at their end.
+        jax.tree.map(np.testing.assert_array_equal, with_camera(alone)[::3], expected[::3])
         assert_close(image[i], expected_image)
         assert_close(alphas[i], expected_alphas)
-        assert_gradients_close(jax.tree.map(lambda x, i=i: x[i], gradient), expected_gradient)
+        for field, error in relative_errors(jax.tree.map(lambda x, i=i: x[i], gradient), expected_gradient).items():
+            assert error < 1e-4, (field, error)

@@ -86,17 +86,16 @@ def test_images_and_gradients_are_those_of_one_device(of_one_device, backend):
     assert_close(gradient, expected, kind="gradient")
 
 
-def test_scenes_of_their_own_and_absolute_gradients():
+def test_scenes_of_their_own_in_two_passes_and_absolute_gradients():
     gaussians, viewmats = scene(channels=18), cameras()[0]
-    rendered = renderer("native")
-    assert_close(over_devices(rendered)(gaussians, viewmats), jax.jit(rendered)(gaussians, viewmats))
 
     def mapped(gaussians, viewmats):
-        return jax.vmap(rendered, (0, None))(jax.tree.map(lambda x: jnp.stack([x, 0.9 * x]), gaussians), viewmats)
+        two = jax.tree.map(lambda x: jnp.stack([x, 0.9 * x]), gaussians)
+        return jax.vmap(renderer("native"), (0, None))(two, viewmats)
 
     by_scene = PartitionSpec(None, "cameras")
+    assert_close(over_devices(mapped, out=by_scene)(gaussians, viewmats), jax.jit(mapped)(gaussians, viewmats))
     few = {**gaussians, "colors": gaussians["colors"][:, :2]}
-    assert_close(over_devices(mapped, out=by_scene)(few, viewmats), jax.jit(mapped)(few, viewmats))
 
     def absolute(gaussians, viewmats):
         zeros = jnp.zeros_like(viewmats[:, :1, :2]) + jnp.zeros((1, GAUSSIANS, 1), jnp.float32)  # of each device
@@ -105,32 +104,12 @@ def test_scenes_of_their_own_and_absolute_gradients():
     assert_close(over_devices(absolute)(few, viewmats), jax.jit(absolute)(few, viewmats), kind="gradient")
 
 
-def test_the_stages_one_by_one():
-    gaussians, viewmats = scene(), cameras()[0]
-
-    def staged(gaussians, viewmats):
-        Ks = jnp.broadcast_to(cameras()[1], (len(viewmats), 3, 3))
-        shapes = None, gaussians["quats"], gaussians["scales"]
-        radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
-            gaussians["means"], *shapes, viewmats, Ks, 24, 16
-        )
-        _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, 8, 3, 2, capacity=512)
-        offsets = rasterizer.isect_offset_encode(ids, len(viewmats), 3, 2)
-        colors = jnp.broadcast_to(gaussians["colors"], (len(viewmats), GAUSSIANS, 3))
-        opacities = jnp.broadcast_to(gaussians["opacities"], (len(viewmats), GAUSSIANS))
-        masks = jnp.ones((len(viewmats), 2, 3), bool)
-        return rasterizer.rasterize_to_pixels(
-            means2d, conics, colors, opacities, 24, 16, 8, offsets, splats, masks=masks
-        )
-
-    assert_close(over_devices(staged)(gaussians, viewmats), jax.jit(staged)(gaussians, viewmats))
-
-
 def test_a_view_of_gsjax():
     gaussians, (viewmats, Ks) = scene(), cameras()
     K, black, how = Ks[0], jnp.zeros(3, jnp.float32), {"with_depth": True, "depth_mode": "front"}
 
-    def colors_and_depths(gaussians, viewmats):
+    def color_and_depth(gaussians, viewmats):
+        """Of one camera, as many as each device has."""
         drawable = Drawable(
             gaussians["means"],
             gaussians["opacities"],
@@ -139,10 +118,9 @@ def test_a_view_of_gsjax():
             gaussians["quats"],
             gaussians["scales"],
         )
-        views = [
-            rendering.render(drawable, Camera(viewmat, K, 24, 16), capacity=1024, background=black, **how)
-            for viewmat in viewmats
-        ]
-        return jnp.stack([view.colors for view in views]), jnp.stack([view.depth for view in views])
+        view = rendering.render(drawable, Camera(viewmats[0], K, 24, 16), capacity=1024, background=black, **how)
+        return view.colors[None], view.depth[None]
 
-    assert_close(over_devices(colors_and_depths)(gaussians, viewmats), jax.jit(colors_and_depths)(gaussians, viewmats))
+    of_one = jax.jit(color_and_depth)
+    expected = [np.concatenate(each) for each in zip(*(of_one(gaussians, v[None]) for v in viewmats), strict=True)]
+    assert_close([*over_devices(color_and_depth)(gaussians, viewmats)], expected)

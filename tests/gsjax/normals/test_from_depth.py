@@ -5,8 +5,6 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from gsjax.analytic import solids
-from gsjax.errors import InputError
-from gsjax.normals.axes import NAMED_AXES, apply_axes, axis_signs, detect_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.scene.cameras import Camera, pixel_rays
 
@@ -42,7 +40,7 @@ def raw(depth, camera=CAMERA):
     return np.asarray(depth_normals(jnp.asarray(depth, jnp.float32), camera))
 
 
-@pytest.mark.parametrize(("normal", "scale"), [((0, 0, -1), 1e-4), ((0.4, -0.3, -1), 1.0), ((-0.1, -1, -0.7), 1e4)])
+@pytest.mark.parametrize(("normal", "scale"), [((0, 0, -1), 1e-4), ((-0.1, -1, -0.7), 1e4)])
 @pytest.mark.parametrize("estimate", [raw, smoothed, reduced])
 def test_a_plane_gives_its_normal_everywhere_at_any_scale(estimate, normal, scale):
     depth = plane_depth(unit(normal), scale)
@@ -55,7 +53,7 @@ def test_a_plane_gives_its_normal_everywhere_at_any_scale(estimate, normal, scal
     assert np.all(normals[~inner] == 0)
 
 
-def test_next_to_a_hole_the_difference_is_one_sided():
+def test_next_to_a_hole_the_difference_is_one_sided_and_without_neighbours_there_is_none():
     normal = unit((0.3, 0.2, -1))
     depth = plane_depth(normal, 2.0)
     depth[10, 20] = 0
@@ -63,9 +61,6 @@ def test_next_to_a_hole_the_difference_is_one_sided():
     assert np.all(normals[10, 20] == 0)
     for row, column in ((9, 20), (11, 20), (10, 19), (10, 21)):
         assert degrees_between(normals[row, column], normal) < 0.1
-
-
-def test_a_pixel_without_neighbours_along_an_axis_has_no_normal():
     depth = np.zeros((36, 48))
     depth[5, 5] = depth[20, 10:20] = 2.0  # a dot and a row one pixel high
     assert np.all(raw(depth) == 0)
@@ -102,13 +97,13 @@ def scene_view():
 
 
 def test_smoothing_beats_raw_normals_of_a_noisy_depth(scene_view):
-    amplitude, anywhere, on_objects = 0.01, 2.2, 1.6  # Measured: 36 to 15 degrees everywhere, 33 to 18 on objects.
     camera, view = scene_view
-    depth = view.depth * (1 + amplitude * splat_like_noise(view.depth.shape, 0))
+    depth = view.depth * (1 + 0.01 * splat_like_noise(view.depth.shape, 0))
     maps = [raw(depth, camera), smoothed(depth, camera)]
     has_normal = np.all([np.any(m != 0, axis=-1) for m in maps], axis=0)
     assert has_normal.sum() > 0.97 * (view.depth > 0).sum()
-    for mask, factor in ((has_normal, anywhere), (has_normal & (view.labels < solids.GROUND_LABEL), on_objects)):
+    # Measured: 36 to 15 degrees everywhere, 33 to 18 on objects.
+    for mask, factor in ((has_normal, 2.2), (has_normal & (view.labels < solids.GROUND_LABEL), 1.6)):
         before, after = (degrees_between(m, view.normals)[mask].mean() for m in maps)
         assert before > factor * after
 
@@ -189,46 +184,3 @@ def test_what_is_not_covered_has_no_normal():
 def test_a_depth_of_another_size_is_an_error(estimate):
     with pytest.raises(ValueError, match=r"\(48, 36\).*camera.height=36, camera.width=48"):
         estimate(np.ones((48, 36)))
-
-
-@pytest.fixture(scope="module")
-def references(scene_view):
-    """Maps of two sizes."""
-    normals = scene_view[1].normals
-    return [normals, normals[20:90, 10:150]]
-
-
-@pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, -1), (-1, 1, -1)])
-def test_every_mirroring_is_found_and_undone(references, signs):
-    rng = np.random.default_rng(0)
-    foreign = []
-    for reference in references:
-        noisy = reference + 0.3 * rng.standard_normal(reference.shape)
-        noisy /= np.linalg.norm(noisy, axis=-1, keepdims=True)
-        foreign.append((noisy * signs * (np.any(reference != 0, axis=-1, keepdims=True))).astype(np.float32))
-    axes, score, margin = detect_axes(foreign, references)
-    np.testing.assert_array_equal(axes, signs)
-    assert score > 0.85
-    assert margin > 0.05  # the table fills most of the view, and its normal has no x
-    restored = apply_axes(foreign[0], axes)
-    assert restored.dtype == np.float32
-    has_normal = np.any(references[0] != 0, axis=-1)
-    assert np.sum(restored * references[0], axis=-1)[has_normal].mean() > 0.85
-
-
-def test_axes_that_cannot_be_told_have_no_margin(references):
-    frontal = np.zeros((9, 9, 3), np.float32)
-    frontal[..., 2] = -1
-    signs, score, margin = detect_axes([frontal], [frontal])
-    np.testing.assert_array_equal(signs, [1, 1, 1])
-    assert (score, margin) == (1, 0)
-    _, score, margin = detect_axes([np.zeros_like(references[0])], references[:1])
-    assert (score, margin) == (0, 0)
-
-
-def test_axes_have_names_and_anything_else_is_an_error():
-    np.testing.assert_array_equal([axis_signs(n)[1:] for n in ("opengl", "dsine")], [[-1, -1], [-1, -1]])
-    assert [axis_signs(n)[0] for n in ("opengl", "dsine")] == [1, -1], "a side wall tells them apart"
-    for wrong in ("", "xyz", "+x+y", "+x+y+z ", "OpenGL"):
-        with pytest.raises(InputError, match="expected three signs such as .*, or one of " + ", ".join(NAMED_AXES)):
-            axis_signs(wrong)

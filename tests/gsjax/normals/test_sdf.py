@@ -18,7 +18,6 @@ CAMERA = camera_at((0.6, -0.4, -0.5), (0.1, 0.2, 4.0), size=(40, 36), focal=36.0
 TURN = np.asarray(CAMERA.viewmat, np.float64)[:3, :3]
 CENTER = np.asarray(cameras.center(CAMERA), np.float64)
 K = np.asarray(CAMERA.K, np.float64)
-BALL, RADIUS = np.array([0.1, 0.2, 4.0]), 1.5
 
 
 def unit(v):
@@ -31,24 +30,13 @@ def rays_through(pixels):
 
 
 RAYS = rays_through(np.stack(np.meshgrid(np.arange(40) + 0.5, np.arange(36) + 0.5), -1))
-CORNERS = np.stack(np.meshgrid(np.arange(4, 37), np.arange(4, 33)), -1).astype(
-    float
-)  # there a patch's slope is central
+# There a patch's slope is central.
+CORNERS = np.stack(np.meshgrid(np.arange(4.0, 37), np.arange(4.0, 33)), -1)
 
 
 def plane_depth(normal, rays=RAYS):
     """Camera z of the plane through (0, 0, 4) along the rays; `normal` is in the world."""
     return (normal @ (np.array([0, 0, 4.0]) - CENTER)) / (rays @ TURN @ normal)
-
-
-def seen_ball(rays=RAYS):
-    """The ball's camera z along the rays (0 beside it), camera-frame normals, and where it is not seen at a slant."""
-    c = TURN @ (BALL - CENTER)
-    a, b = np.sum(rays * rays, -1), rays @ c
-    inside = b * b - a * (c @ c - RADIUS**2)
-    depth = np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0))) / a, 0)
-    normals = (rays * depth[..., None] - c) / RADIUS
-    return depth, normals, (inside > 0) & (np.sum(normals * rays, -1) < -0.6 * np.linalg.norm(rays, axis=-1))
 
 
 def in_world(points_cam):
@@ -83,22 +71,12 @@ ESTIMATORS = (sdf.sdf_gradient_map, sdf.pixel_depth_map, sdf.smallest_axis_map)
 # --- the estimate at one point
 
 
-@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (-0.5, 0.4, -1.0)])
-def test_on_a_plane_the_gradient_is_the_normal_over_its_cosine_with_the_ray(normal):
-    normal = unit(normal)
+def test_on_a_plane_the_gradient_is_the_normal_over_its_cosine_with_the_ray():
+    normal = unit((-0.5, 0.4, -1.0))
     rays = rays_through(CORNERS.reshape(-1, 2))
     vectors = gradients(rays * plane_depth(normal, rays)[:, None], plane_depth(normal))
     assert angles(vectors, np.broadcast_to(normal, vectors.shape)).max() < 0.3
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=-1), 1 / np.abs(rays @ TURN @ normal), rtol=3e-3)
-
-
-def test_on_a_ball_the_gradient_is_radial():
-    rays = rays_through(CORNERS)
-    depth, normals, frontal = seen_ball(rays)
-    vectors = gradients((rays * depth[..., None])[frontal], seen_ball()[0])
-    off = angles(vectors @ TURN.T, normals[frontal])
-    assert len(off) > 300
-    assert np.median(off) < 0.3 and off.max() < 1  # a pixel spans 5 degrees of the ball
 
 
 def test_the_estimate_is_the_distance_along_z_positive_in_front():
@@ -135,13 +113,13 @@ def interior(alphas, margin=6):
     return mask & (np.asarray(alphas) > 0.9)
 
 
-@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (-0.5, 0.3, -1.0)])
-def test_on_a_plane_of_gaussians_every_estimator_gives_the_normal_facing_the_camera(normal):
-    alphas, estimates = maps(plane(unit(normal)), CAMERA)
+def test_on_a_plane_of_gaussians_every_estimator_gives_the_normal_facing_the_camera():
+    normal = unit((-0.5, 0.3, -1.0))
+    alphas, estimates = maps(plane(normal), CAMERA)
     mask = interior(alphas) & np.any(estimates["pixel_depth_map"], -1)
     assert mask.sum() > 400
     for name, bound in (("sdf_gradient_map", 2), ("pixel_depth_map", 4), ("smallest_axis_map", 0.1)):
-        off = angles(estimates[name][mask], np.broadcast_to(TURN @ unit(normal), (mask.sum(), 3)))
+        off = angles(estimates[name][mask], np.broadcast_to(TURN @ normal, (mask.sum(), 3)))
         assert np.median(off) < bound, name
         assert off.max() < 45, name  # on the camera's side, everywhere
 
