@@ -143,30 +143,3 @@ leave(int(sys.argv[1]))
 def test_a_process_ends_without_tearing_libraries_down(code, output):
     done = subprocess.run([sys.executable, "-c", PROCESS, str(code)], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (code, output, "")
-
-
-COMPILED_MODULE = """
-import os, time
-try:
-    print("loading", flush=True)
-    time.sleep(60)
-except BaseException:
-    os.abort()
-"""
-"""What nanobind does with an exception while it imports."""
-
-
-@pytest.mark.parametrize(("number", "message"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
-def test_a_signal_while_jax_is_imported_ends_the_process(tmp_path, number, message):
-    """An exception there aborts the process, with a traceback of 150 lines."""
-    (tmp_path / "jax").mkdir()
-    (tmp_path / "jax" / "__init__.py").write_text(COMPILED_MODULE)
-    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # A shell's "&" ignores it.
-    program += "from gsjax.cli import run_guarded; raise SystemExit(run_guarded(lambda: __import__('jax') and 0))"
-    own = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-    command = [sys.executable, "-c", program]
-    with subprocess.Popen(command, env=own, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout.readline() == "loading\n"
-        process.send_signal(number)
-        assert process.communicate(timeout=30)[1] == f"gsjax: {message}\n"
-    assert process.returncode == 128 + number

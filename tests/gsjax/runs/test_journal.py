@@ -22,25 +22,25 @@ def state_of(value):
     return type("State", (dict,), {"gaussians": gaussians})(means=np.full(2, value, np.float32))
 
 
-def test_steps_go_on_while_a_checkpoint_is_written_and_the_end_waits_for_it(on_a_gpu, monkeypatch, tmp_path):
+def test_steps_go_on_while_a_checkpoint_is_on_disk_and_the_end_waits_for_it(on_a_gpu, monkeypatch, tmp_path):
     """The write is held back until the caller has gone on, and is whole when the context is left."""
-    may_write, written = threading.Event(), []
+    may_write, on_disk = threading.Event(), []
 
     def slow(run, step, tree):
         assert may_write.wait(60)
-        written.append((step, float(tree["capacity"])))
+        on_disk.append((step, float(tree["capacity"])))
 
     monkeypatch.setattr(runs, "save_checkpoint", slow)
     with journal.Journal(tmp_path, "train", 10, 0, 0.0) as log:
         log.save(5, state_of(1.0), 7)
-        assert not written
+        assert not on_disk
         may_write.set()
         log.save(10, state_of(2.0), 8)
-    assert written == [(5, 7.0), (10, 8.0)]
+    assert on_disk == [(5, 7.0), (10, 8.0)]
 
 
 @pytest.mark.parametrize("saves", [1, 2])
-def test_a_checkpoint_that_cannot_be_written_ends_the_run_in_its_line(on_a_gpu, monkeypatch, tmp_path, saves):
+def test_a_checkpoint_that_cannot_be_on_disk_ends_the_run_in_its_line(on_a_gpu, monkeypatch, tmp_path, saves):
     """At the next checkpoint or at the end, whichever comes first."""
 
     def full(run, step, tree):

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax import monitoring
 from small_scenes import camera_at, cloud, photographed
 
 from gsjax.errors import InputError
@@ -196,3 +197,25 @@ def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bit
         assert moved.any() == (int(after.step) == 4), "a full budget goes on moving"
     resumed = fitted(frames, settings, run.states[2], capacity=run.progress[2].capacity)
     assert_identical(resumed.final, run.final)
+
+
+def test_a_step_compiles_at_most_three_times_while_gaussians_grow_to_four_times_the_rows(frames, monkeypatch):
+    """Once for each length of the buffers, which double; views that need longer lists compile nothing."""
+    monkeypatch.setattr(buffers, "FEWEST_ROWS", CAPACITY // 4)
+    programs = []
+
+    def listen(event, seconds, **about):
+        if event.endswith("backend_compile_duration") and "train_step" in str(about.get("fun_name")):
+            programs.append(about)
+
+    density = Density(rule="error", start=1, stop=12, every=2, full_by=0.9)
+    phase = Phase("vanilla", 12, Weights(dssim=0.0, alpha=0.1), density_control=True)
+    state = initial_state(cloud(10, capacity=CAPACITY // 4), OPTIMIZER, DENSIFICATION_RULES["error"])
+    monitoring.register_event_duration_secs_listener(listen)
+    try:
+        run = fitted(frames, SETTINGS.replace(density=density, schedule={"phases": (phase,)}), state)
+    finally:
+        monitoring.unregister_event_duration_listener(listen)
+    rows = {state.gaussians.num_gaussians for state in run.states}
+    assert rows == {CAPACITY // 4, CAPACITY // 2, CAPACITY}, "the run grows through all lengths"
+    assert 1 <= len(programs) <= 3
