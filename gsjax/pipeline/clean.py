@@ -21,7 +21,7 @@ from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing.regions import given_numbers
 from gsjax.rendering import gallery, outliers
 from gsjax.report.figures import draw_panels
-from gsjax.runs.folder import is_run
+from gsjax.runs import is_run
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result
 from gsjax.scene.cameras import Camera, viewmat_centers

@@ -9,7 +9,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.georeference_files import write_place
 from gsjax.io.scenes import load_scene
-from gsjax.runs.folder import is_run
+from gsjax.runs import is_run
 from gsjax.runs.pixel_to_point import Pixel, points_of_run, points_of_scene
 from gsjax.runs.rescaling import rescale_run
 from gsjax.runs.run import Run

@@ -64,7 +64,7 @@ def train(
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
-        out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
+        out: Run folder, see `gsjax.runs`; absent or empty unless `resume`.
         settings: The run, or a table of it such as `gsjax.presets.PRESETS["quick"]`. A phase gives terms of the loss
             their weights by name.
         terms: The run's own loss terms by name, in addition to those of `gsjax.training.terms.TERMS` or in their place:

@@ -20,7 +20,7 @@ from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.consistency import share_compared
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.rendering import DepthReading, gallery
-from gsjax.runs.folder import update_manifest
+from gsjax.runs import update_manifest
 from gsjax.runs.normal_filter import filter_normals, stored_disagreements
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Keep, in_memory

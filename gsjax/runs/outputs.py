@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from gsjax.errors import InputError
-from gsjax.runs.folder import is_run
+from gsjax.runs import is_run
 from gsjax.runs.run import Run
 
 OF_RUN = {

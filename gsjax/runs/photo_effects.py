@@ -11,7 +11,7 @@ from gsjax.effects.appearance import Appearance, as_near_photos
 from gsjax.effects.poses import Move
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.runs.folder import read_similarity
+from gsjax.runs import read_similarity
 from gsjax.scene import Frame
 from gsjax.scene.similarity import Similarity
 

@@ -8,7 +8,7 @@ from gsjax.io import json_files
 from gsjax.io.locks import lock_folder
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
-from gsjax.runs.folder import update_manifest
+from gsjax.runs import update_manifest
 from gsjax.runs.run import Run
 
 
