@@ -101,15 +101,15 @@ def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> di
     return figures
 
 
-def write_page(path: Path, template: str, **content: Any) -> Path:
-    """Fills a template of `gsjax/report/templates`; whatever it is given is escaped.
+def write_page(path: Path, template: str, *, package: str = "gsjax.report", **content: Any) -> Path:
+    """Fills a template in `templates` of a package; whatever it is given is escaped.
 
     Raises:
         InputError: The file cannot be written.
     """
     jinja2 = require("jinja2")
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("gsjax.report"),
+        loader=jinja2.PackageLoader(package),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

@@ -19,6 +19,7 @@ from gsjax.rendering.gallery import Picture
 from gsjax.report.pictures import normal_picture
 from gsjax.runs.records import read_views
 from gsjax.runs.result import frame_camera, recorded_camera
+from gsjax.runs.viewpoints import evenly_spread
 from gsjax.scene import Frame
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
@@ -33,8 +34,7 @@ def report_views(records: Sequence[dict[str, Any]]) -> list[int]:
     """Which views of `cameras.json` a report shows: held-out ones, evenly spread; of none, any."""
     held_out = [index for index, record in enumerate(records) if record["held_out"]]
     some = held_out or range(len(records))
-    places = np.linspace(0, len(some) - 1, min(MOST_VIEWS, len(some))).round().astype(int)
-    return [some[place] for place in np.unique(places)]
+    return [some[place] for place in evenly_spread(len(some), MOST_VIEWS)]
 
 
 def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:

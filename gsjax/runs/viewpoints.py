@@ -132,6 +132,11 @@ def _circle(middle: np.ndarray, up: np.ndarray, first: np.ndarray, radius: float
         yield look_at(middle + radius * outward + height * up, middle, up)
 
 
+def evenly_spread(count: int, most: int) -> list[int]:
+    """Indices of at most so many of `count` things, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
+
+
 def mean_up(cameras: Sequence[Camera]) -> np.ndarray:
     """`[3]` unit float64, world: what is up in the pictures of cameras, on average.
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +39,7 @@ class Scenery:
     def show_splats(self, gaussians: Gaussians) -> None:
         """Hands Gaussians to the browser, unless it has them."""
         if self._splats_of is not gaussians:
-            self._scene.add_gaussian_splats("/splats", **browser_splats(gaussians)._asdict())
+            self._scene.add_gaussian_splats("/splats", **browser_splats(gaussians))
             self._splats_of = gaussians
         self._set_visible("/splats", True)
 
@@ -116,22 +115,15 @@ class Scenery:
             node.visible = visible
 
 
-class BrowserSplats(NamedTuple):
-    """Gaussians as a browser draws them: without harmonics, filters or depth, but at once.
+def browser_splats(gaussians: Gaussians) -> dict[str, np.ndarray]:
+    """The Gaussians that are alive as a browser draws them: without harmonics, filters or depth, but at once.
 
-    The arrays that viser takes, numpy float32, of the Gaussians that are alive.
+    Returns:
+        What viser takes, float32: `[N, 3]` `centers` and `[N, 3, 3]` `covariances`, world; `[N, 3]` `rgbs` of degree 0
+        and `[N, 1]` `opacities`, 0..1.
     """
-
-    centers: np.ndarray  # [N, 3] world
-    covariances: np.ndarray  # [N, 3, 3] world, scene units squared
-    rgbs: np.ndarray  # [N, 3] 0..1, degree 0
-    opacities: np.ndarray  # [N, 1] 0..1
-
-
-def browser_splats(gaussians: Gaussians) -> BrowserSplats:
-    """What a browser needs of Gaussians; free rows of a training's buffers are left out."""
     alive, *arrays = (np.asarray(x) for x in _linear(gaussians))
-    return BrowserSplats(*(array[alive] for array in arrays))
+    return dict(zip(("centers", "covariances", "rgbs", "opacities"), (array[alive] for array in arrays), strict=True))
 
 
 @jax.jit
