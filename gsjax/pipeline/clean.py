@@ -81,10 +81,9 @@ def clean(
         whole = load_gaussians(source)
         result = open_result(source, scene=scene) if is_run(source) or scene is not None else None
         kinds = _outliers_by_kind(whole, result)
-        kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~np.any(
-            list(kinds.values()), 0
-        )
-        is_removed = np.any(list(kinds.values()), axis=0)
+        is_outlier = kinds["giants"] | kinds["isolated"]
+        kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~is_outlier
+        is_removed = is_outlier | kinds["cropped"]
         if is_removed.all():
             raise InputError(f"{source}: none of its {len(is_removed)} Gaussians would be left")
         counts = {kind: int(is_of_kind.sum()) for kind, is_of_kind in kinds.items()}
@@ -144,15 +143,13 @@ def _is_unfinished(file: Path) -> bool:
 
 
 def _outliers_by_kind(whole: Gaussians, result: Result | None) -> dict[str, np.ndarray]:
-    """`[N]` bool by kind."""
-    means = np.asarray(whole.means, np.float64)
-    cameras = [] if result is None else _cameras(result)
+    """`[N]` bool by kind; where there are cameras, in their coordinates."""
+    gaussians, centers = whole, None
     if result is not None:
-        means = np.asarray(result.gaussians.means, np.float64)  # the cameras' own coordinates
-        whole = result.gaussians
-    viewmats = np.array([np.asarray(camera.viewmat, np.float64) for camera in cameras])
-    centers = viewmat_centers(viewmats) if cameras else None
-    is_giant = outliers.giants(means, np.exp(np.asarray(whole.log_scales, np.float64)), centers)
+        viewmats = [np.asarray(camera.viewmat, np.float64) for camera in _cameras(result)]
+        gaussians, centers = result.gaussians, viewmat_centers(np.array(viewmats))
+    means = np.asarray(gaussians.means, np.float64)
+    is_giant = outliers.giants(means, np.exp(np.asarray(gaussians.log_scales, np.float64)), centers)
     is_isolated = np.zeros(len(means), bool)
     is_isolated[~is_giant] = outliers.cluster_sizes(means[~is_giant]) <= outliers.most_of_small(len(means))
     return {"giants": is_giant, "isolated": is_isolated}

@@ -67,9 +67,8 @@ def evaluate(
     result, folder = open_result(run), Run.open(run)
     background, effects = folder.settings["model"]["background"], folder.photo_effects
     scene = scene_of_run(run, scene=scene_folder)
-    zoomed = {  # Refused before hours of scoring.
-        zoom: scene_of_run(run, zoom=zoom, scene=scene_folder).held_out_frames for zoom in zooms
-    }
+    # Refused before hours of scoring.
+    zoomed = {zoom: scene_of_run(run, zoom=zoom, scene=scene_folder).held_out_frames for zoom in zooms}
     local_mesh = None if mesh is None else scene.similarity.mesh_to_local(read_mesh(mesh))
     if three_ways and not effects.appearances:
         effects = effects._replace(appearances=appearances_of_tracks(scene))

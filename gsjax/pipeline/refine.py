@@ -211,12 +211,8 @@ def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
 def prepare_mesh(original: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:
     """A mesh that Gaussians can be bound to: without triangles that spoil it, decimated where it has too many.
 
-    Parts stay, however small: what to leave out was decided when the mesh was made. One line says what went.
-
-    Args:
-        original: Any mesh.
-        most_faces: Above it, the mesh is decimated.
-        halved_share: Of these, not to be filled by the decimation.
+    Parts stay, however small: what to leave out was decided when the mesh was made. Decimation leaves `halved_share` of
+    the triangles for later. One line says what went.
 
     Returns:
         The mesh, and numbers of triangles: `degenerate`, `duplicate`, `non_manifold`, `decimated`.

@@ -31,12 +31,8 @@ class PhotoEffects(NamedTuple):
 
     appearances: Mapping[str, Appearance] = MappingProxyType({})
     moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
-    background: np.ndarray | None = (
-        None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.rendering.backdrop`
-    )
-    near_appearances: Mapping[str, Appearance] = MappingProxyType(
-        {}
-    )  # held-out photos, exposed as those taken near them
+    background: np.ndarray | None = None  # [(L + 1)^2, 3] SH coefficients, see `gsjax.rendering.backdrop`
+    near_appearances: Mapping[str, Appearance] = MappingProxyType({})  # of held-out photos, as of those near them
 
     def with_near_appearances(self, frames: Sequence[Frame]) -> "PhotoEffects":
         """Add appearances of the held-out photos, from the photos taken near them, where there are appearances."""

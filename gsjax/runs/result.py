@@ -56,9 +56,7 @@ class Result:
     cameras: tuple[Camera, ...]
     names: tuple[str, ...]
     held_out: tuple[bool, ...]
-    valid: tuple[
-        Callable[[], np.ndarray | None], ...
-    ]  # reads [H, W] bool, where the photo may be used; None: all of it
+    valid: tuple[Callable[[], np.ndarray | None], ...]  # reads [H, W] bool, where the photo counts; None: everywhere
     background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.rendering.backdrop`
     depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.rendering`
     similarity: Similarity = IDENTITY  # to Gaussians and cameras from the coordinates of the world

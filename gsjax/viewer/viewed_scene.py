@@ -31,9 +31,8 @@ class ViewedScene:
     cameras: Mapping[str, Camera] = field(default_factory=dict)  # by the names of their photos
     photos: Mapping[str, Frame] = field(default_factory=dict)  # those that are at hand
     mesh: Path | None = None
-    background: np.ndarray = field(
-        default_factory=lambda: BACKGROUND_COLORS["black"]
-    )  # [3] or SH, see `gsjax.rendering.backdrop`
+    # [3] or SH, see `gsjax.rendering.backdrop`
+    background: np.ndarray = field(default_factory=lambda: BACKGROUND_COLORS["black"])
     depth_mode: DepthReading = "plane"
     similarity: Similarity = IDENTITY  # to all of this, which is local, from the mesh in its file
 
