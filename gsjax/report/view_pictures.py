@@ -36,7 +36,7 @@ def report_views(records: Sequence[dict[str, Any]]) -> list[int]:
 
 
 def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
-    """An observer of scored frames, which stores pictures of those that the report shows: in `cameras.json` by then."""
+    """An observer of the scored frames of a run with its `cameras.json`; it stores pictures of those in the report."""
     records = read_views(run)
     places = {records[index]["name"]: index for index in report_views(records)}
 

@@ -58,8 +58,6 @@ EARLIER: dict[str, Any] = {
 }
 """What runs did before they could choose."""
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
-
-
 OF_A_BEGINNING = {"config.json", "plan.json", georeference_files.FILE, LOCK}
 """What a folder may hold that was to become a run: without a manifest it is none."""
 
@@ -113,15 +111,8 @@ def create(
 ) -> Path:
     """Makes the folder of a new run, with its config, plan and manifest: whole, or not at all.
 
-    Args:
-        run: A folder that is absent or empty, or a link to one.
-        settings: The parsed settings as a nested dict (`gsjax.config.to_dict`).
-        scene: The data set.
-        seed: Seed of all random numbers of the run.
-        similarity: To the run's own coordinates from those of the world.
-        place: To the world from the coordinates of the data set.
-        plan: What runs (`gsjax.training.plan.plan_record`).
-        split: Which photos are held out.
+    `settings` are those of `gsjax.config.to_dict`, and the plan is of `gsjax.training.plan.plan_record`. The similarity
+    is to the run's own coordinates from those of the world, the place to the world from those of the data set.
 
     Raises:
         InputError: The folder holds something already, or cannot be written.
@@ -167,11 +158,6 @@ def _is_of_a_beginning(path: Path) -> bool:
 
 def reopen(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path) -> Path:
     """Opens the folder of a run to continue it on the data set and with the settings it was started with.
-
-    Args:
-        run: The folder.
-        settings: Of the resumed run, as `create` takes them.
-        scene: The data set.
 
     Raises:
         InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.

@@ -46,7 +46,7 @@ def filter_normals(
         gaussians: As the surface phase begins.
         frames: The photos.
         maps: `[H, W, 3]` int8 a photo, 127 times the unit normal.
-        depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
+        depth_mode: See `gsjax.rendering`.
         keep: Where the maps that are returned are to lie.
         notify: Receives the verdict as one line.
 

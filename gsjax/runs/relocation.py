@@ -17,10 +17,6 @@ def relocate_scene(folder: str | Path, scene: str | Path) -> None:
 
     Paths inside the data set that its settings and its plan name move with it.
 
-    Args:
-        folder: The run.
-        scene: Where the data set is.
-
     Raises:
         InputError: It is no run folder, another process is at work in it, or `scene` is no data set or has no photo of
             the run.

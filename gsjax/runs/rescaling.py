@@ -23,14 +23,8 @@ MESHES = "mesh.ply", "mesh.glb"
 def rescale_run(folder: Path, factor: float, place: Place) -> None:
     """Writes the files of a run with all lengths `factor` times as long, and what that makes of their world.
 
-    Checkpoints are in the run's own coordinates, which stay: a resumed run has the same numbers. The files
-    change together (`gsjax.io.files`).
-
-    Args:
-        folder: Of the finished run; `gaussians.ply`, `cameras.json`, `poses.json`, meshes, `manifest.json` and
-            `place.json` change.
-        factor: New units in one of the old.
-        place: What is known of the world afterwards.
+    Checkpoints are in the run's own coordinates, which stay: a resumed run has the same numbers. `gaussians.ply`,
+    `cameras.json`, `poses.json`, meshes, `manifest.json` and `place.json` change together (`gsjax.io.files`).
 
     Raises:
         InputError: It is no finished run, another process works in it, or a file cannot be read or written.
@@ -41,14 +35,15 @@ def rescale_run(folder: Path, factor: float, place: Place) -> None:
     gaussians = load_gaussians(folder)
     means = factor * np.asarray(gaussians.means, np.float64)
     log_scales = np.asarray(gaussians.log_scales) + np.float32(np.log(factor))
-    views = [{**view, "viewmat": _stretched_viewmat(view["viewmat"], factor)} for view in run.views]
+    viewmats = np.array([view["viewmat"] for view in run.views], np.float64).reshape(-1, 4, 4)
+    viewmats[:, :3, 3] *= factor
+    views = [{**view, "viewmat": viewmat} for view, viewmat in zip(run.views, viewmats, strict=True)]
     with lock_folder(folder), replaced_files(folder) as new:
         json_files.write(new / "manifest.json", {**run.manifest, "similarity": asdict(similarity)})
         json_files.write(new / georeference_files.FILE, place.record())
         json_files.write(new / "cameras.json", views)
         stretched_gaussians = replace(gaussians, means=means, log_scales=log_scales)
-        centers = viewmat_centers(np.array([view["viewmat"] for view in views], np.float64).reshape(-1, 4, 4))
-        write_gaussians(new / "gaussians.ply", stretched_gaussians, place, cameras=centers)
+        write_gaussians(new / "gaussians.ply", stretched_gaussians, place, cameras=viewmat_centers(viewmats))
         if (folder / POSES).exists():
             json_files.write(new / POSES, _stretched_moves(json_files.read(folder / POSES), factor))
         for name in MESHES:
@@ -56,17 +51,12 @@ def rescale_run(folder: Path, factor: float, place: Place) -> None:
                 _write_stretched_mesh(folder / name, new / name, factor, place)
 
 
-def _stretched_viewmat(viewmat: list, factor: float) -> np.ndarray:
-    matrix = np.array(viewmat, np.float64)
-    matrix[:3, 3] *= factor
-    return matrix
-
-
 def _stretched_moves(poses: dict, factor: float) -> dict:
-    photos = {
-        name: {**move, "shift": [factor * side for side in move["shift"]]} for name, move in poses["photos"].items()
+    photos = poses["photos"].items()
+    return {
+        **poses,
+        "photos": {name: {**move, "shift": [factor * side for side in move["shift"]]} for name, move in photos},
     }
-    return {**poses, "photos": photos}
 
 
 def _write_stretched_mesh(old: Path, new: Path, factor: float, place: Place) -> None:

@@ -67,12 +67,8 @@ def write_views(run: Path, frames: tuple[Frame, ...], skies: Mapping[str, np.nda
     """`cameras.json`: one record a view, world to camera, OpenCV axes, pixels; and the masks of the training views.
 
     A mask (`masks/0007.png`, 255 where the photo may be used) is written only for a view that has one, and its record
-    names it: later stages need no photo to know what must not be seen. Only masked frames are read, one by one.
-
-    Args:
-        run: Run folder.
-        frames: All views, in the order of the data set; they are written in its coordinates.
-        skies: By name `[H, W]` bool, where a view shows sky: no surface, which its mask leaves out.
+    names it: later stages need no photo to know what must not be seen. Only masked frames are read, one by one. Masks
+    leave out skies, by name `[H, W]` bool. Views are in the order and the coordinates of the data set.
 
     Raises:
         InputError: A file cannot be written, or a frame not be read.
