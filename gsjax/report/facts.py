@@ -25,18 +25,8 @@ CHARTS = {
     },
     "Gaussians": {"Gaussians": "gaussians"},
 }
-CAME_OF_IT = (
-    "registered",
-    "points",
-    "psnr",
-    "psnr_near_gains",
-    "ssim",
-    "gaussians",
-    "vertices",
-    "faces",
-    "floaters",
-    "seen_share",
-)
+CAME_OF_IT = ("registered", "points", "psnr", "psnr_near_gains", "ssim", "gaussians", "vertices", "faces", "floaters",
+              "seen_share")  # fmt: skip
 SPLITS = {"auto": "the data set's own split, else every 8th shot by name", "none": "asked for: all photos train"}
 
 REPORTED = {"photos": {"hold_out": str}, "seed": int, "refinement?": {"seed": int}}
@@ -172,10 +162,8 @@ def charts(
 ) -> list[Chart]:
     """Curves against `axis`, "steps" or "seconds": the mean of the runs under each label.
 
-    Args:
-        pools: Label -> its runs. Lines are named after it where there are several, and phases marked where not.
-        axis: What x is.
-        titles: Title of a chart -> name of a line, and what the metrics call it. The last line is the one that counts.
+    Lines are named after the labels where there are several, and phases marked where not. A title has names of lines,
+    and what the metrics call them; the last line is the one that counts.
     """
     alone, figures = len(pools) == 1, []
     for title, lines in titles.items():

@@ -40,12 +40,10 @@ class ViewedScene:
 def open_viewed_scene(
     source: str | Path, *, mesh: str | Path | None = None, notify: Callable[[str], None] = lambda _: None
 ) -> ViewedScene:
-    """Reads what a person named.
+    """Reads a run folder, a file of Gaussians or a mesh; the header of a .ply decides.
 
-    Args:
-        source: A run folder; a file of Gaussians; or of a mesh. The header of a .ply decides.
-        mesh: A mesh that is shown with Gaussians; None: `mesh.ply` of a run that has one.
-        notify: Receives a line where the photos of a run are not at hand.
+    With Gaussians a mesh is shown: the given one, else `mesh.ply` of a run that has one. `notify` receives a line where
+    the photos of a run are not at hand.
 
     Raises:
         InputError: It is none of these, or cannot be read.

@@ -47,13 +47,7 @@ def watch(
     """Serve a page that shows a training while the context lasts.
 
     Its Gaussians are copied every few seconds while a browser looks. What the page takes, compilation and drawing
-    included, is kept to `SHARE` of the time since it opened.
-
-    Args:
-        scene: The data set.
-        settings: Of the run.
-        host: Address to listen on.
-        port: 0 takes a free one.
+    included, is kept to `SHARE` of the time since it opened. Host and port are those of `view`.
 
     Yields:
         The observer of every step, see `gsjax.pipeline.train`.
