@@ -20,7 +20,7 @@ from gsjax.networks.records import DEPTH_NETWORKS, NETWORKS, DepthNetwork, Norma
 from gsjax.normals.axes import axes_verdict, facing_votes
 from gsjax.normals.fitted_depth import DepthFit
 from gsjax.planning.sizes import chosen_downscale
-from gsjax.scene import Frame, Scene
+from gsjax.scene import Frame
 from gsjax.settings import Photos
 
 MOST_NAMED = 5  # rejected photos that a report names
@@ -64,7 +64,11 @@ def normals(
     name, record = read_network(network)
     is_depth = isinstance(record, DepthNetwork)
     estimator = DepthEstimator(record, weights) if is_depth else NormalEstimator(record, weights)
-    loaded, downscale = _sized(scene, downscale, images)
+    loaded = load_scene(scene, images=images)
+    # Not asking jax for its device: a GPU's memory is the network's here.
+    downscale = chosen_downscale(Photos(downscale=downscale), loaded.frames, on_cpu=False)
+    if downscale != 1:
+        loaded = load_scene(scene, downscale=downscale, images=images)
     frames = loaded.frames
     estimate = DepthNormals(estimator, loaded) if isinstance(estimator, DepthEstimator) else _unfitted(estimator)
     folder = Path(scene) / f"{normal_folders.PREFIX}{name}" if out is None else Path(out)
@@ -110,14 +114,6 @@ def read_network(network: str | Path) -> tuple[str, NormalNetwork | DepthNetwork
     """
     networks: dict[str, NormalNetwork | DepthNetwork] = {**NETWORKS, **DEPTH_NETWORKS}
     return read_record(network, networks, lambda data: DepthNetwork if "kind" in data else NormalNetwork)
-
-
-def _sized(scene: str | Path, downscale: float | None, images: str | None) -> tuple[Scene, float]:
-    """The data set with frames of the size of their maps, and how many times smaller than the photos that is."""
-    loaded = load_scene(scene, images=images)
-    # Not asking jax for its device: a GPU's memory is the network's here.
-    factor = chosen_downscale(Photos(downscale=downscale), loaded.frames, on_cpu=False)
-    return (loaded if factor == 1 else load_scene(scene, downscale=factor, images=images)), factor
 
 
 def _unfitted(estimator: NormalEstimator) -> Callable[[Frame], tuple[np.ndarray, None]]:

@@ -12,7 +12,7 @@ import numpy as np
 from gsjax.io.json_shapes import check
 from gsjax.report import tables
 from gsjax.report.curves import Chart, Curve, chart
-from gsjax.runs.records import WHOLE_MANIFEST
+from gsjax.runs.records import FIGURES, WHOLE_MANIFEST
 from gsjax.runs.run import Run
 
 AXES = {"steps": "step", "seconds": "seconds"}  # Name of an axis, and what a line of metrics calls it.
@@ -25,8 +25,6 @@ CHARTS = {
     },
     "Gaussians": {"Gaussians": "gaussians"},
 }
-CAME_OF_IT = ("registered", "points", "psnr", "psnr_near_gains", "ssim", "gaussians", "vertices", "faces", "floaters",
-              "seen_share")  # fmt: skip
 SPLITS = {"auto": "the data set's own split, else every 8th shot by name", "none": "asked for: all photos train"}
 
 REPORTED = {"photos": {"hold_out": str}, "seed": int, "refinement?": {"seed": int}}
@@ -63,7 +61,7 @@ class RunFacts(Run):
     @property
     def stages(self) -> dict[str, dict[str, Any]]:
         """Figures of every stage that this folder knows of, by name."""
-        own = {name: self.manifest[name] for name in CAME_OF_IT if name in self.manifest}
+        own = {name: self.manifest[name] for name in FIGURES if name in self.manifest}
         first = {**own, "seconds": self.manifest.get("train_seconds"), "peak_gib": self.manifest.get("peak_gib")}
         return {"refine" if self.is_refinement else "train": first, **self.manifest.get("stages", {})}
 
@@ -139,9 +137,7 @@ def stage_rows(stages: Mapping[str, Mapping[str, Any]]) -> Rows:
             name,
             tables.format_value(figures.get("seconds")),
             tables.format_value(figures.get("peak_gib")),
-            ", ".join(
-                f"{key} {tables.format_value(figures[key])}" for key in CAME_OF_IT if figures.get(key) is not None
-            ),
+            ", ".join(f"{key} {tables.format_value(figures[key])}" for key in FIGURES if figures.get(key) is not None),
         )
         for name, figures in stages.items()
     ]

@@ -42,21 +42,17 @@ def report(folder: str | Path) -> Path:
     """
     folder = Path(folder)
     if (folder / "manifest.json").exists() or not (folder / "report.json").exists():
-        chapter = _chapter(folder)
-        return write_page(folder / FILE, "report.html", name=folder.resolve().name, stages=chapter["stages"],
-            overview=None, chapters=[chapter])  # fmt: skip
-    record = json_files.read(folder / "report.json", {"stages?": {str: {}}})
-    if "stages" not in record:
-        raise InputError(f"{folder}: is the folder of neither a run nor a scan")
-    chapters = [_chapter(folder / part) for part in ("run", "refined") if (folder / part / "manifest.json").exists()]
-    return write_page(
-        folder / FILE,
-        "report.html",
-        name=folder.resolve().name,
-        stages=run_facts.stage_rows(record["stages"]),
-        overview=_overview(folder / "overview.png"),
-        chapters=chapters,
-    )
+        chapters, overview = [_chapter(folder)], None
+        stages = chapters[0]["stages"]
+    else:
+        record = json_files.read(folder / "report.json", {"stages?": {str: {}}})
+        if "stages" not in record:
+            raise InputError(f"{folder}: is the folder of neither a run nor a scan")
+        parts = [folder / name for name in ("run", "refined")]
+        chapters = [_chapter(part) for part in parts if (part / "manifest.json").exists()]
+        stages, overview = run_facts.stage_rows(record["stages"]), _overview(folder / "overview.png")
+    name, file = folder.resolve().name, folder / FILE
+    return write_page(file, "report.html", name=name, stages=stages, overview=overview, chapters=chapters)
 
 
 def report_if_installed(folder: str | Path) -> None:
@@ -87,10 +83,7 @@ def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> di
     restart_peak_memory()
     started = time.perf_counter()
     figures = work()
-    spent = {
-        "seconds": round(time.perf_counter() - started, 1),
-        "peak_gib": round(peak_memory() / 2**30, 2),
-    }
+    spent = {"seconds": round(time.perf_counter() - started, 1), "peak_gib": round(peak_memory() / 2**30, 2)}
     if (Path(run) / "manifest.json").is_file():
         try:
             before = json_files.read(Path(run) / "manifest.json").get("stages", {})
