@@ -196,8 +196,8 @@ def _picture(result: Result, is_removed: np.ndarray, out: Path) -> str:
 
     def rendered(hidden: np.ndarray, views: Sequence[Camera]) -> list[np.ndarray]:
         logits = np.where(hidden, np.float32(UNSEEN), np.asarray(result.gaussians.logit_opacities))
-        shown = replace(result.gaussians, logit_opacities=logits)
-        return [picture.colors for picture in gallery.pictures(shown, views, result.background, "plane")]
+        gaussians = replace(result.gaussians, logit_opacities=logits)
+        return [picture.colors for picture in gallery.pictures(gaussians, views, result.background, "plane")]
 
     before, after = rendered(np.zeros(len(is_removed), bool), cameras), rendered(is_removed, cameras)
     most = int(np.argmax([np.abs(a - b).mean() for a, b in zip(before, after, strict=True)]))

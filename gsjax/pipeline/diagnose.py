@@ -83,9 +83,6 @@ def apart(scene: Scene) -> dict[str, Any]:
     """How many `photos` are trained on, `degrees` between them, and whether validation runs decide (`tried`).
 
     Degrees are those of `gsjax.planning.sparse_views.angle_between_photos`, None without tracks.
-
-    Raises:
-        InputError: The tracks cannot be read, or name points that the scene does not have.
     """
     photos, angle = len(scene.train_frames), angle_between_photos(scene)
     return {"photos": photos, "degrees": angle, "tried": is_tried(photos, angle, SHORTEST)}
@@ -103,11 +100,7 @@ def apart_line(apart: dict[str, Any]) -> str:
 
 
 def draw(diagnosis: Diagnosis, path: Path) -> Path:
-    """Draw gains, fall-off towards the corner, bright smooth pixels, sharpness and sky of the photos as one picture.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Draw gains, fall-off, bright smooth pixels, sharpness and sky of the photos as one picture."""
     figure = new_figure(18, 7.5)
     gains, corner, most_sky, bare, sharpness, skies = figure.subplots(2, 3).flat
     photos = np.arange(len(diagnosis.observations.frames))

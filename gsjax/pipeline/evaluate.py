@@ -131,11 +131,7 @@ def _own_mesh(run: Path) -> Mesh:
 
 
 def _score_mesh(mesh: Mesh, frames: tuple[Frame, ...], truth: Truth, true_mesh: Mesh | None) -> dict[str, Any]:
-    """Distances from the true triangles where they are known, else from the points; and the depth in these frames.
-
-    Raises:
-        NoSurfaceError: Nothing of the mesh lies where cameras saw something.
-    """
+    """Distances from the true triangles, else from the points; and the depth in these frames. Or NoSurfaceError."""
     assert truth.points is not None and truth.point_normals is not None, "nothing else is scored here"
     if true_mesh is None:
         scores = geometry.compare_to_truth(mesh, truth.points, truth.point_normals)

@@ -100,8 +100,6 @@ def refine(
     task = _prepare(settings, trained, source, Path(out), scene_of_run(run, scene=scene_folder))
     folder = _run_folder(task, out, resume=resume)
     with runs.claim_run(folder):
-        if resume:  # An earlier version left none.
-            json_files.write(folder / "plan.json", _plan(settings, trained))
         return _write(task, folder, *_fit(task, folder))
 
 

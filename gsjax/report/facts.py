@@ -39,11 +39,7 @@ class RunFacts(Run):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """The run in a folder, with the entries that a report requires.
-
-        Raises:
-            InputError: It is no run folder, or a file is damaged.
-        """
+        """The run in a folder, with the entries that a report requires; InputError where one is damaged."""
         run = super().open(folder)
         check(run.folder / "manifest.json", run.manifest, WHOLE_MANIFEST)
         check(run.folder / "config.json", run.settings, REPORTED)
@@ -75,9 +71,10 @@ def what_was_read(run: RunFacts) -> Rows:
 def what_was_decided(run: RunFacts) -> Rows:
     """What, how, and why."""
     hold_out, factor = str(run.settings["photos"]["hold_out"]), run.downscale
+    held_out = f"{sum(view['held_out'] for view in run.views)} of {len(run.views)}" if run.views else "not told yet"
     return [
         ("Size of the photos", f"reduced {factor:g} times" if factor > 1 else "as they are", _photos(run)),
-        ("Photos for scoring", _count_held_out(run), SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
+        ("Photos for scoring", held_out, SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
         ("Normals", *_normals(run)),
         ("Effects of photography", *_effects(run)),
         *_dropout(run),
@@ -206,10 +203,6 @@ def _photos(run: RunFacts) -> str:
         return run.manifest["photos"]
     sizes = sorted({(view["width"], view["height"]) for view in run.views}, reverse=True)
     return f"{len(run.views)} photos at {sizes[0][0]}x{sizes[0][1]}" if sizes else "not told yet"
-
-
-def _count_held_out(run: RunFacts) -> str:
-    return f"{sum(view['held_out'] for view in run.views)} of {len(run.views)}" if run.views else "not told yet"
 
 
 def state(run: RunFacts) -> str:

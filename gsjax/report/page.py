@@ -95,11 +95,7 @@ def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> di
 
 
 def write_page(path: Path, template: str, *, package: str = "gsjax.report", **content: Any) -> Path:
-    """Fills a template in `templates` of a package; whatever it is given is escaped.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Fills a template in `templates` of a package, and writes the file; whatever it is given is escaped."""
     jinja2 = require("jinja2")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader(package),

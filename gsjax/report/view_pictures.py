@@ -67,11 +67,7 @@ def stored_pictures(run: Path, index: int) -> dict[str, bytes]:
 
 
 def mesh_pictures(run: Path, records: Sequence[dict[str, Any]]) -> list[dict[str, bytes]]:
-    """JPEGs of `RUN/mesh.ply` from every one of these views, its shape and its colours; empty ones without a mesh.
-
-    Raises:
-        InputError: The mesh cannot be read.
-    """
+    """JPEGs of `RUN/mesh.ply` from each of these views, its shape and its colours; empty ones without a mesh."""
     if not (run / "mesh.ply").exists():
         return [{} for _ in records]
     similarity = runs.read_similarity(run)

@@ -234,11 +234,7 @@ def update_manifest(run: str | Path, **changes: Any) -> None:
 
 
 def read_similarity(run: str | Path) -> Similarity:
-    """To the coordinates of a run's checkpoints from those of its other files; none in runs that knew no other.
-
-    Raises:
-        InputError: The manifest is damaged.
-    """
+    """To the coordinates of a run's checkpoints from those of its other files; none in runs that knew no other."""
     file = Path(run) / "manifest.json"
     record = json_files.read(file, {}).get("similarity") if file.exists() else None
     return IDENTITY if record is None else parse_similarity(record, file)
@@ -260,11 +256,7 @@ def latest_checkpoint(run: str | Path, until: int | None = None) -> tuple[int, P
 
 
 def append_metrics(run: str | Path, record: Mapping[str, Any]) -> None:
-    """Adds one line to `metrics.jsonl`; `record` holds at least `step`.
-
-    Raises:
-        InputError: The disk is full or read-only.
-    """
+    """Adds one line to `metrics.jsonl`, with at least `step`; InputError of a disk that is full or read-only."""
     path = Path(run) / "metrics.jsonl"
     line = json.dumps(json_files.plain(record), allow_nan=False) + "\n"
     try:
@@ -275,11 +267,7 @@ def append_metrics(run: str | Path, record: Mapping[str, Any]) -> None:
 
 
 def read_metrics(run: str | Path) -> list[dict[str, Any]]:
-    """All whole lines of `metrics.jsonl`; a last line that a kill has torn is left out.
-
-    Raises:
-        InputError: Another line is no record.
-    """
+    """All whole lines of `metrics.jsonl`, without a last one that a kill has torn; InputError of no record."""
     path = Path(run) / "metrics.jsonl"
     lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True) if path.exists() else []
     whole = [(f"{path}, line {i}", line) for i, line in enumerate(lines, 1) if line.endswith("\n")]
@@ -294,11 +282,7 @@ def truncate_metrics(run: str | Path, step: int) -> None:
 
 
 def read_settings(run: str | Path) -> dict[str, Any]:
-    """What `config.json` holds, and for a run of an earlier version what it did where there was no choice.
-
-    Raises:
-        InputError: The file is absent or is no JSON.
-    """
+    """What `config.json` holds, and for a run of an earlier version what it did where there was no choice."""
     file = Path(run) / "config.json"
     settings = config.merge(EARLIER, group_flat(json_files.read(file, {})))
     check(file, settings, SETTINGS)

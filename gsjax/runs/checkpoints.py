@@ -21,9 +21,6 @@ def save(path: str | Path, tree: Any) -> None:
     """Writes every leaf of `tree`: arrays of numbers or booleans, raw uint32 random keys, numpy or Python scalars.
 
     The path ends in `.npz`. `None` and static fields are structure and are not stored.
-
-    Raises:
-        InputError: The file cannot be written (disk full, read-only).
     """
     leaves = {name: np.asarray(leaf) for name, leaf in _named_leaves(tree)}
     with atomic_path(path) as temporary:
@@ -52,11 +49,7 @@ def load(path: str | Path, template: Callable[[dict[str, np.ndarray]], Any]) -> 
 
 
 def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """All stored arrays by their path in the tree.
-
-    Raises:
-        InputError: The file is absent, truncated or damaged.
-    """
+    """All stored arrays by their path in the tree; InputError of an absent, truncated or damaged file."""
     if not Path(path).is_file():
         raise InputError(f"{path}: no such checkpoint")
     try:

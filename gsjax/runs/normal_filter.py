@@ -76,10 +76,7 @@ def filter_normals(
 def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | None]:
     """Read how many degrees each photo's normals are from its neighbours', as `filter_normals` stored it.
 
-    None where it could not judge, or where the file is of an earlier version.
-
-    Raises:
-        InputError: The file is missing or damaged, or lacks a photo.
+    None where it could not judge, or where the file is of an earlier version; InputError where a photo is missing.
     """
     shape = {"photos": {frame.name: {"apart?": NUMBER} for frame in frames}}
     photos = json_files.read(folder / VERDICT, shape)["photos"]
@@ -87,11 +84,7 @@ def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | 
 
 
 def score_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
-    """Judge a folder of maps by the depth of planes through the tracks' points, and return the `record`.
-
-    Raises:
-        InputError: A map is missing or damaged, or the tracks cannot be read.
-    """
+    """Judge a folder of maps by the depth of planes through the tracks' points, and return the `record`."""
     tracks, readers = tracks_by_name(scene), normal_maps(folder, scene.frames)
     views = [
         _tracked_view(frame, readers[frame.name](), scene.points, tracks.get(frame.name))

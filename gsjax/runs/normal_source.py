@@ -123,9 +123,6 @@ class NormalSource:
 
         Disagreement of self-supervised normals is disagreement about the surface. For maps of a network, and without
         the filter, all steps compare.
-
-        Raises:
-            InputError: The verdict is missing or damaged.
         """
         if not self.gated or self.given is not None:
             return np.ones(len(frames))
@@ -211,11 +208,7 @@ def write_map(file: Path, normals: np.ndarray) -> None:
 
 
 def read_map(file: Path, frame: Frame) -> np.ndarray:
-    """`[H, W, 3]` int8, 127 times the normals that `write_map` was given.
-
-    Raises:
-        InputError: The file is damaged or not of the frame's size.
-    """
+    """`[H, W, 3]` int8, 127 times what `write_map` was given; InputError of a file that is not of the frame's size."""
     pixels, _ = read_image(file)
     if pixels.shape[:2] != (frame.height, frame.width):
         size = f"{pixels.shape[1]}x{pixels.shape[0]}"

@@ -45,11 +45,7 @@ def with_moved_cameras(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> 
 
 
 def write_photo_effects(run: Path, effects: PhotoEffects) -> None:
-    """`effects.json`, `poses.json` and `background.json`, those of estimates that there are.
-
-    Raises:
-        InputError: A file cannot be written.
-    """
+    """`effects.json`, `poses.json` and `background.json`, those of estimates that there are."""
     if effects.appearances:
         json_files.write(run / FILE, {"photos": {name: look._asdict() for name, look in effects.appearances.items()}})
     if effects.moves:
@@ -61,11 +57,7 @@ def write_photo_effects(run: Path, effects: PhotoEffects) -> None:
 
 
 def read_photo_effects(run: Path) -> PhotoEffects:
-    """Read the estimates of a run; empty where it simulated nothing.
-
-    Raises:
-        InputError: A file is damaged.
-    """
+    """Read the estimates of a run, empty where it simulated nothing; InputError of a damaged file."""
     file = run / BACKGROUND
     background = np.asarray(json_files.read(file, {"sh": [[float, 3]]})["sh"], np.float32) if file.exists() else None
     if background is not None and len(background) not in COUNTS:

@@ -70,11 +70,7 @@ class Page:
         self.switches: dict[str, Any] = {}  # by their labels, once it is served: each has a `value`
 
     def __enter__(self) -> Self:
-        """Serve.
-
-        Raises:
-            InputError: The port is in use, or the host is none of this machine's.
-        """
+        """Serve; InputError where the port is in use, or the host is none of this machine's."""
         check_port(self._host, self._port)
         with _silent(), guarded(self._host):
             label = f"gsjax: {self.viewed.name}"
