@@ -32,13 +32,7 @@ class MeshViews:
     """What the training views show, each thing computed once, when a method reads it."""
 
     def __init__(self, result: Result, data: Scene | None, *, with_owners: bool):
-        """Render nothing yet.
-
-        Args:
-            result: Whose training views.
-            data: Its data set. None: its photos are not available.
-            with_owners: Whether pictures have owners.
-        """
+        """Of a result and its data set, None where its photos are gone; with the owners of pixels or without."""
         self.result, self.data, self.with_owners = result, data, with_owners
         self.training = [index for index, held_out in enumerate(result.held_out) if not held_out]
         self.cameras = [result.cameras[index] for index in self.training]

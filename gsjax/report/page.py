@@ -26,16 +26,10 @@ OVERVIEW_WIDTH = 1280  # pixels
 
 
 def report(folder: str | Path) -> Path:
-    """Write `report.html` of a run, or of a scan and the runs in it; of what is not finished, what there is.
+    """Write and return `report.html` of a run, or of a scan and the runs in it; of what is not finished, what there is.
 
     What it shows is read from the folder's files. Pictures of held-out views are those that were kept when the run was
     scored; where a finished run has none, they are rendered now. The mesh is that of `RUN/mesh.ply`.
-
-    Args:
-        folder: What `gsjax train`, `gsjax refine` or `gsjax scan` made.
-
-    Returns:
-        The file.
 
     Raises:
         InputError: It is no such folder, a file in it is damaged, or the report cannot be written.
@@ -64,21 +58,10 @@ def report_if_installed(folder: str | Path) -> None:
 
 
 def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Do the work of a stage on a run, and record it in the run.
+    """Do the work of a stage on a run, record the figures that it returns in the run, and return them.
 
-    Its figures, `seconds` and `peak_gib` go to `stages` in RUN/manifest.json, and the report is made anew. Where that
-    cannot be written, a line says so: the work is done.
-
-    Args:
-        run: A run folder; of anything else nothing is noted.
-        stage: Its name.
-        work: Returns the figures.
-
-    Returns:
-        The figures.
-
-    Raises:
-        InputError: As `work` does.
+    They, `seconds` and `peak_gib` go to `stages` in RUN/manifest.json, and the report is made anew. Where that cannot
+    be written, a line says so: the work is done. Of anything but a run folder nothing is noted.
     """
     restart_peak_memory()
     started = time.perf_counter()

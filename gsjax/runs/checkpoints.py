@@ -30,10 +30,7 @@ def save(path: str | Path, tree: Any) -> None:
 def load(path: str | Path, template: Callable[[dict[str, np.ndarray]], Any]) -> Any:
     """The tree of a template's structure with the stored leaves: numpy where it has numpy, else on jax's device.
 
-    Args:
-        path: A file that `save` wrote.
-        template: Makes a pytree of arrays or `jax.ShapeDtypeStruct` of the stored arrays by their paths; only its
-            structure, shapes and dtypes are read.
+    The template is made of the stored arrays by their paths; only its structure, shapes and dtypes are read.
 
     Raises:
         InputError: The file is absent, truncated or damaged, or its first difference from the template.

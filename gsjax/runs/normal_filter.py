@@ -49,9 +49,6 @@ def filter_normals(
         depth_mode: See `gsjax.rendering`.
         keep: Where the maps that are returned are to lie.
         notify: Receives the verdict as one line.
-
-    Raises:
-        InputError: The files are damaged, or cannot be written.
     """
     file = folder / CONFIDENCE
     if not file.is_file():

@@ -153,11 +153,8 @@ def training_pictures(
 ) -> tuple[list[Camera], Iterator[Picture]]:
     """Training cameras, and what `gaussians` show there: nothing where photos are masked.
 
-    Args:
-        result: Whose training views.
-        gaussians: Its own, or what was made of them.
-        background: Under the pictures, see `gsjax.rendering.backdrop`.
-        with_owners: Whether the pictures hold the Gaussian that each pixel hits, which the level set requires.
+    The background is that of `gsjax.rendering.backdrop`. With owners the pictures hold the Gaussian that each pixel
+    hits, which the level set requires.
 
     Raises:
         InputError: There is no training view; or, as the pictures are drawn, a mask cannot be used.
@@ -175,12 +172,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
     """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
 
     Cameras that training moved are where it left them; photos that it left out are left out. A line names photos that
-    the data set has no more.
-
-    Args:
-        folder: Of the run.
-        zoom: Photos are so many times larger than in training.
-        scene: Where the data set is now. None: where it was.
+    the data set has no more. Photos are `zoom` times larger than in training; `scene` is where the data set is now.
 
     Raises:
         InputError: It is no run folder, its data set cannot be used any more, or its photos are too small for `zoom`.

@@ -108,10 +108,7 @@ def camera_circle_of_mesh(mesh: Mesh, up: np.ndarray) -> list[Camera]:
     """A circle of square views, 20 degrees above the middle of a mesh, each of which holds the whole mesh.
 
     The circle ignores the farthest hundredth of the vertices on every side, so stray vertices do not shrink the rest.
-
-    Args:
-        mesh: In the middle of every view.
-        up: `[3]` the world's direction that is up in the pictures, any length.
+    `up`, `[3]` of any length, is up in the pictures.
     """
     low, high = np.quantile(mesh.vertices[np.unique(mesh.faces)].astype(np.float64), [0.01, 0.99], axis=0)
     size = max(float(np.linalg.norm(high - low)), 1e-12)

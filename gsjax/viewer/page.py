@@ -51,14 +51,10 @@ class Page:
         news: Callable[[], News | None] | None = None,
         share: float = 1.0,
     ):
-        """Not served yet.
+        """Not served yet; port 0 takes a free one.
 
-        Args:
-            viewed: What to show.
-            host: Address to listen on.
-            port: 0 takes a free one.
-            news: Asked now and then, while somebody looks, for Gaussians to show instead.
-            share: Of the time since `work` began, what answering may take.
+        While users look, `news` returns Gaussians to show instead. `share` is of the time since `work` began, what
+        answering may take.
         """
         self.viewed, self.queue = viewed, PictureQueue()
         self._host, self._port = host, port

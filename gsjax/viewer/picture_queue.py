@@ -80,11 +80,7 @@ class PictureQueue:
     def take(self, timeout: float | None = None) -> Request | None:
         """Waits for the next request: coarse pictures first, the browser that waits longest first.
 
-        Args:
-            timeout: Seconds; None: for ever.
-
-        Returns:
-            The request; None after the timeout, when woken, or once the queue is closed.
+        None after the timeout in seconds, when woken, or once the queue is closed.
         """
         until = None if timeout is None else self._clock() + timeout
         with self._changed:
