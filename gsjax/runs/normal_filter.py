@@ -56,8 +56,7 @@ def filter_normals(
         pictures = gallery.pictures(gaussians, cameras, BACKGROUND_COLORS["black"], depth_mode)
         triples = zip(maps, pictures, frames, strict=True)
         views = [thinned_view(normals, picture.depth, frame.viewmat, frame.K) for normals, picture, frame in triples]
-        evidence, verdict = _evidence(views)
-        verdict = with_names(verdict, frames)
+        evidence, verdict = _evidence(views, frames)
         json_files.write(folder / VERDICT, record(evidence, verdict, frames))
         with atomic_path(file) as temporary:
             confidences = {str(index): np.rint(255 * one.confidence) for index, one in enumerate(evidence)}
@@ -87,8 +86,8 @@ def score_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
         _tracked_view(frame, readers[frame.name](), scene.points, tracks.get(frame.name))
         for frame in tqdm(scene.frames, desc=Path(folder).name, unit="map", leave=False)
     ]
-    evidence, verdict = _evidence(views)
-    return record(evidence, with_names(verdict, scene.frames), scene.frames)
+    evidence, verdict = _evidence(views, scene.frames)
+    return record(evidence, verdict, scene.frames)
 
 
 def record(evidence: Sequence[PhotoEvidence], verdict: Verdict, frames: Sequence[Frame]) -> dict[str, Any]:
@@ -120,17 +119,15 @@ def verdict_line(verdict: Verdict) -> str:
     )
 
 
-def with_names(verdict: Verdict, frames: Sequence[Frame]) -> Verdict:
-    """Add the names of the first rejected photos to the note of a verdict."""
-    if not verdict.rejected:
-        return verdict
-    return verdict._replace(note=f"{verdict.note}: {first_names([frames[index].name for index in verdict.rejected])}")
-
-
-def _evidence(views: Sequence[View]) -> tuple[list[PhotoEvidence], Verdict]:
-    return judge_maps(
+def _evidence(views: Sequence[View], frames: Sequence[Frame]) -> tuple[list[PhotoEvidence], Verdict]:
+    """The evidence of each photo, and the verdict; its note names the first rejected photos."""
+    evidence, verdict = judge_maps(
         views, progress=lambda numbers: tqdm(numbers, desc="filter of normals", unit="photo", leave=False)
     )
+    if verdict.rejected:
+        names = first_names([frames[index].name for index in verdict.rejected])
+        verdict = verdict._replace(note=f"{verdict.note}: {names}")
+    return evidence, verdict
 
 
 def _tracked_view(

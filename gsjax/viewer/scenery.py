@@ -49,10 +49,16 @@ class Scenery:
 
     def show_mesh(self, choice: str) -> None:
         """The mesh in its colours, as a grey shape, or not at all."""
-        add = {MESH_COLORS: self._add_mesh_colors, MESH_SHAPE: self._add_mesh_shape}
-        if choice in add and self._scene.get_handle_by_name(f"/mesh/{choice}") is None:
-            add[choice]()
-        for name in add:
+        file, similarity = self._viewed.mesh, self._viewed.similarity
+        if file is not None and self._scene.get_handle_by_name(f"/mesh/{choice}") is None:
+            if choice == MESH_COLORS:
+                place = similarity.length_to_local(-np.asarray(similarity.center))
+                self._scene.add_glb(f"/mesh/{choice}", glb_bytes(file), scale=similarity.scale, position=place)
+            elif choice == MESH_SHAPE:
+                mesh = similarity.mesh_to_local(read_mesh(file))
+                look = {"color": (200, 200, 200), "flat_shading": True, "side": "double"}
+                self._scene.add_mesh_simple(f"/mesh/{choice}", mesh.vertices, mesh.faces, **look)
+        for name in (MESH_COLORS, MESH_SHAPE):
             self._set_visible(f"/mesh/{name}", name == choice)
 
     def show_cameras(self, visible: bool) -> None:
@@ -62,19 +68,6 @@ class Scenery:
             for index, name in enumerate(self._viewed.cameras):
                 self._soon(partial(self._add_camera, index, name))
         self._set_visible("/cameras", visible)
-
-    def _add_mesh_colors(self) -> None:
-        if self._viewed.mesh is not None:
-            similarity = self._viewed.similarity
-            place = similarity.length_to_local(-np.asarray(similarity.center))
-            glb = glb_bytes(self._viewed.mesh)
-            self._scene.add_glb(f"/mesh/{MESH_COLORS}", glb, scale=similarity.scale, position=place)
-
-    def _add_mesh_shape(self) -> None:
-        if self._viewed.mesh is not None:
-            mesh = self._viewed.similarity.mesh_to_local(read_mesh(self._viewed.mesh))
-            look = {"color": (200, 200, 200), "flat_shading": True, "side": "double"}
-            self._scene.add_mesh_simple(f"/mesh/{MESH_SHAPE}", mesh.vertices, mesh.faces, **look)
 
     def _add_camera(self, index: int, name: str) -> None:
         """A camera in the scene, with its photo where that can be read; a click on it looks from there."""
