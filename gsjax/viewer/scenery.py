@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -108,7 +109,7 @@ class Scenery:
             node.visible = visible
 
 
-def browser_splats(gaussians: Gaussians) -> dict[str, np.ndarray]:
+def browser_splats(gaussians: Gaussians) -> dict[str, Any]:
     """The Gaussians that are alive as a browser draws them: without harmonics, filters or depth, but at once.
 
     Returns:
