@@ -133,7 +133,6 @@ def _kept_alone(file: Path) -> AbstractContextManager[None]:
 
 
 def _original(file: Path) -> Path:
-    """Return where the file as it was is kept."""
     return Path(f"{file}.original{file.suffix}")
 
 

@@ -131,7 +131,7 @@ def _own_mesh(run: Path) -> Mesh:
 
 
 def _score_mesh(mesh: Mesh, frames: tuple[Frame, ...], truth: Truth, true_mesh: Mesh | None) -> dict[str, Any]:
-    """Distances from the true triangles, else from the points; and the depth in these frames. Or NoSurfaceError."""
+    """Distances from the true triangles, or without them from the points; and errors of the depth in these frames."""
     assert truth.points is not None and truth.point_normals is not None, "nothing else is scored here"
     if true_mesh is None:
         scores = geometry.compare_to_truth(mesh, truth.points, truth.point_normals)

@@ -151,7 +151,6 @@ def _prepare(settings: Refinement, trained: Run, source: Path, out: Path, scene:
 
 
 def _run_folder(task: _Task, out: str | Path, *, resume: bool) -> Path:
-    """Create the folder of the run, or open it again."""
     settings, scene = task.settings, task.scene
     record = {**task.trained.settings, "mesh": str(task.source.resolve()), "refinement": config.to_dict(settings)}
     if resume:

@@ -110,7 +110,6 @@ def train(
 
 
 def _open_run(request: Asked, loaded: Loaded, planned: Plan) -> Path:
-    """The run folder, made or reopened."""
     settings = config.to_dict(request.settings)
     if request.resumed:
         return runs.reopen(request.out, settings, scene=request.scene)

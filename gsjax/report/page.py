@@ -98,7 +98,6 @@ def write_page(path: Path, template: str, *, package: str = "gsjax.report", **co
 
 
 def _chapter(folder: Path) -> dict[str, Any]:
-    """Everything about one run folder, for the template."""
     run = RunFacts.open(folder)
     return {
         "name": folder.resolve().name,

@@ -98,7 +98,6 @@ def _reduced(width: int, height: int) -> tuple[int, int]:
 
 
 def _small_camera(camera: Camera) -> Camera:
-    """A camera at the size of the report's pictures."""
     width, height = _reduced(camera.width, camera.height)
     scale = np.array([[width / camera.width], [height / camera.height], [1.0]])
     return Camera(camera.viewmat, scale * np.asarray(camera.K), width, height)

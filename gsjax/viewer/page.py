@@ -80,7 +80,6 @@ class Page:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Serve no more."""
         self.close()
 
     @property

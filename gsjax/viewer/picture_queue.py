@@ -34,7 +34,6 @@ class PictureQueue:
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
-        """Without browsers."""
         self._clock = clock
         self._browsers: dict[Hashable, _Browser] = {}
         self._changed = threading.Condition()
@@ -42,7 +41,6 @@ class PictureQueue:
         self.is_idle = False  # all pictures are drawn, and none is to come without a move
 
     def __len__(self) -> int:
-        """Number of browsers."""
         with self._changed:
             return len(self._browsers)
 

@@ -84,7 +84,6 @@ class Snapshots:
     """
 
     def __init__(self, steps: int, *, every: float = EVERY, clock: Callable[[], float] = time.monotonic):
-        """Of a training of so many steps."""
         self._steps, self._every, self._clock = steps, every, clock
         self._asked, self._taken, self._asked_at = Event(), None, -float("inf")
 
