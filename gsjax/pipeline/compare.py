@@ -40,9 +40,7 @@ def compare(folders: Iterable[str | Path], out: str | Path) -> Path:
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: the comparison is a page, its name ends in .html")
     if len(folders) < 2:
-        raise InputError(
-            f"there is nothing to compare {folders[0]} with" if folders else "there are no runs to compare"
-        )
+        raise InputError(f"there is nothing to compare {' '.join(map(str, folders))} with")
     require_apart(out, *folders)
     resolved = [folder.resolve() for folder in folders]
     for folder in folders:

@@ -90,15 +90,15 @@ def normals(
             normal_folders.add(folder, manifest, frame.name, file, normal_map, _about(frame, normal_map, fit))
         seconds = time.perf_counter() - began
     maps = [manifest["maps"][frame.name] for frame in frames]
+    if is_depth:
+        judged_by = _fits(manifest["maps"], frames)
+    else:
+        judged_by = {"axes": axes_verdict(np.sum([one["votes"] for one in maps], axis=0))}
     return {
         "maps": len(maps),
         "made": len(missing),
         "known": float(np.mean([one["known"] for one in maps])),
-        **(
-            _fits(manifest["maps"], frames)
-            if is_depth
-            else {"axes": axes_verdict(np.sum([one["votes"] for one in maps], axis=0))}
-        ),
+        **judged_by,
         "provider": estimator.graph.provider,
         "seconds_per_map": seconds / len(missing) if missing else None,
         "licence": record.licence,

@@ -162,6 +162,7 @@ def _run_folder(task: _Task, out: str | Path, *, resume: bool) -> Path:
 def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
     """Train from the last checkpoint on, and return the Gaussians and what the report says of the training."""
     settings, behind = task.settings, task.trained.photo_effects.background
+    background = task.trained.settings["model"]["background"]
     optimizer = refinement.make_optimizer(settings, extent(task.frames), task.mesh.num_vertices)
     photo_report: dict[str, float] = {}
 
@@ -185,17 +186,13 @@ def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
             task.data,
             state,
             optimizer,
-            background=BACKGROUNDS[_background(task)] if behind is None else lambda key: jnp.asarray(behind),
+            background=BACKGROUNDS[background] if behind is None else lambda key: jnp.asarray(behind),
             observe=journal.note,
             move_mesh=move_mesh,
             capacity=capacity,
         )
     summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": task.taken_out}
     return state.gaussians, summary | {"photo_refine": photo_report or None}
-
-
-def _background(task: _Task) -> str:
-    return task.trained.settings["model"]["background"]
 
 
 def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
@@ -272,7 +269,7 @@ def _write(task: _Task, folder: Path, hybrid: MixedGaussians, summary: dict[str,
     scores = score_images(
         gaussians,
         scene.held_out_frames,
-        _background(task),
+        task.trained.settings["model"]["background"],
         photo_effects=effects.with_near_appearances(scene.frames),
         align=align if effects.moves else None,
         depth_mode=DEPTH_OF_DISCS,
