@@ -10,6 +10,7 @@ import argparse
 import runpy
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -134,6 +135,16 @@ def _placed(value: Any, scene: str) -> Any:
     return value.replace("{scene}", scene) if isinstance(value, str) else value
 
 
+def spread(rows: Sequence[Mapping[str, float]]) -> dict[str, str]:
+    """Mean of every quantity over rows that all have it, a row a seed; where they are several also least and most."""
+    columns = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
+    texts = {
+        name: [tables.format_value(float(v)) for v in (each.mean(), each.min(), each.max())]
+        for name, each in columns.items()
+    }
+    return {name: f"{mean} [{least} {most}]" if len(rows) > 1 else mean for name, (mean, least, most) in texts.items()}
+
+
 def main() -> None:
     """Reads the arguments and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -146,7 +157,7 @@ def main() -> None:
     arguments = parser.parse_args()
     seconds = None if arguments.budget is None else parsers.seconds(arguments.budget)
     every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, on=arguments.on, seconds=seconds)
-    print(tables.compare({variant: tables.spread(rows) for variant, rows in every.items()}))
+    print(tables.compare({variant: spread(rows) for variant, rows in every.items()}))
 
 
 if __name__ == "__main__":

@@ -64,7 +64,7 @@ LAYERS = {
         (*CORE, "io", "meshing", "runs", "metrics of runs"),
         ("jax", "numpy", "tqdm", "matplotlib", "jinja2"),
     ),
-    "sharing": Layer(("gsjax.sharing",), ("vocabulary", "io"), ("numpy", "jinja2")),
+    "sharing": Layer(("gsjax.sharing",), (), ()),
     "pipeline": Layer(
         ("gsjax.pipeline",),
         ("rasterizer", *CORE, *FILES, "stereo", "metrics of runs", "planning", "report", "sharing"),

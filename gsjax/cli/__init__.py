@@ -51,14 +51,7 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command.
-
-    Args:
-        argv: Arguments without the program's name; None reads `sys.argv`.
-
-    Returns:
-        The exit code, as `run_guarded` has it; 2 for wrong arguments too.
-    """
+    """Runs one command; returns the exit code, as `run_guarded` has it, or 2 for wrong arguments."""
     try:
         arguments = vars(parser().parse_args(argv))
     except SystemExit as stop:  # After --help, or with argparse's own message about the arguments.

@@ -26,14 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--weights", metavar="FILE", required=True, help="the network as an ONNX file")
     add(
         "--classes",
-        type=_names,
+        type=lambda names: [name.strip() for name in names.split(",")],
         metavar="A,B",
         help="what to leave out (default: the only class that is not background)",
     )
     add("--invert", action="store_true", help="leave out everything else instead")
     add("--out", metavar="DIR", help="folder to make; absent or empty (default: PHOTOS_OR_SCENE/masks)")
     add("--images", metavar="FOLDER", help="of a data set, the folder of the photos (default: found by name)")
-
-
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",")]

@@ -68,22 +68,14 @@ def add_moved_scene(parser: argparse.ArgumentParser) -> None:
 
 
 def count(text: str) -> int:
-    """A number of things, 1 at least; as the `type` of an argument.
-
-    Raises:
-        argparse.ArgumentTypeError: It is none.
-    """
+    """A whole number of at least 1; as the `type` of an argument."""
     if not (text.isdecimal() and int(text) > 0):
         raise argparse.ArgumentTypeError(f"{text}: not a whole number of at least 1")
     return int(text)
 
 
 def finite(text: str) -> float:
-    """A number that is neither infinite nor none; as the `type` of an argument.
-
-    Raises:
-        argparse.ArgumentTypeError: It is no such number.
-    """
+    """A number that is neither infinite nor none; as the `type` of an argument."""
     try:
         number = float(text)
     except ValueError:
@@ -94,11 +86,7 @@ def finite(text: str) -> float:
 
 
 def metres(text: str) -> float:
-    """Metres of a length such as `1.25m`, `80cm` or `3ft`; as the `type` of an argument.
-
-    Raises:
-        argparse.ArgumentTypeError: It is none, or nothing.
-    """
+    """Metres of a length above 0 such as `1.25m`, `80cm` or `3ft`; as the `type` of an argument."""
     try:
         return parse_length(text)
     except ValueError as error:
@@ -106,11 +94,7 @@ def metres(text: str) -> float:
 
 
 def seconds(budget: str) -> float:
-    """Seconds of a time such as `90s`, `10m` or `1.5h`.
-
-    Raises:
-        InputError: It is none, or nothing.
-    """
+    """Seconds of a time such as `90s`, `10m` or `1.5h`; InputError of none, or of nothing."""
     match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)([smh])", budget.strip())
     number = float(match[1]) * UNITS[match[2]] if match else 0.0
     if not 0 < number < math.inf:

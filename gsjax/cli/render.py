@@ -52,11 +52,6 @@ def run(**options: Any) -> str:
 
 
 def _size(text: str) -> tuple[int, int]:
-    """Width and height of a text such as 1280x720; as the `type` of an argument.
-
-    Raises:
-        argparse.ArgumentTypeError: It is none.
-    """
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and len(text) < 12):
         raise argparse.ArgumentTypeError(f"{text}: not a size such as 1280x720")

@@ -50,9 +50,6 @@ def print_unused(report: Mapping[str, Any]) -> None:
     """Name the photos without a pose, GPS or focal length, and the files that are no photos, a line a reason.
 
     Another line says which model is kept where there were two.
-
-    Args:
-        report: Of the reconstruction, as a mapping.
     """
     for what, files in (
         ("left out", report["left_out"]),

@@ -23,19 +23,16 @@ class Stopping:
     """
 
     def __init__(self):
-        """No signal has arrived."""
         self.signal: signal.Signals | None = None
         self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
-        """Install the handlers."""
         for number in SIGNALS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._handlers[number] = signal.signal(number, self._raise)
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Restore the handlers from before."""
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
@@ -67,7 +64,6 @@ def leave(code: int) -> NoReturn:
 
 
 def _is_loading(package: str) -> bool:
-    """Whether the import of a package has begun and has not ended."""
     spec = getattr(sys.modules.get(package), "__spec__", None)
     return bool(getattr(spec, "_initializing", False))
 

@@ -219,12 +219,7 @@ def _settings(
 
 
 def add_training(parser: argparse.ArgumentParser, length: str) -> None:
-    """Add what commands that train among other things let choose of it: the arguments of `training`.
-
-    Args:
-        parser: Of the command.
-        length: What its preset decides, for the help.
-    """
+    """Add the arguments of `training`, for commands that train among other things; `length` says what a preset is."""
     add = parser.add_argument
     add("--preset", choices=PRESETS, default="fast", help=f"{length} (default: fast)")
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")

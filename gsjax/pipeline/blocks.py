@@ -57,10 +57,6 @@ class Blocks:
             temporary.write_text("".join(f"{name}\n" for name in self.photos[number - 1]), encoding="utf-8")
         return str(file)
 
-    def is_done(self, number: int) -> bool:
-        """Return whether a block is trained."""
-        return runs.is_finished(self.run(number))
-
 
 def blocks(
     scene: str | Path,
@@ -94,11 +90,11 @@ def blocks(
         if not 1 <= number <= count:
             raise InputError(f"--only {number}: there are blocks 1 to {count}")
     for number in only or range(1, count + 1):
-        if not planned.is_done(number):
+        run = planned.run(number)
+        if not runs.is_finished(run):
             print(f"blocks: {number} of {count}", file=sys.stderr)
-            run = planned.run(number)
             train(scene, run, planned.settings.replace(photos={"subset": planned.listed(number)}), resume=run.exists())
-    trained = [number for number in range(1, count + 1) if planned.is_done(number)]
+    trained = [number for number in range(1, count + 1) if runs.is_finished(planned.run(number))]
     merged = planned.folder / "run" if len(trained) == count else None
     if merged is not None and not runs.is_finished(merged):
         _merge(planned, merged)

@@ -19,15 +19,15 @@ from gsjax.io.georeference_files import stated_place
 from gsjax.io.locks import lock_folder
 from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing.regions import given_numbers
+from gsjax.pipeline.convert import given_box
 from gsjax.rendering import gallery, outliers
 from gsjax.report.figures import draw_panels
-from gsjax.runs.folder import is_run
+from gsjax.runs import is_run
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result
 from gsjax.scene.cameras import Camera, viewmat_centers
 from gsjax.scene.colors import to_bytes
 
-KINDS = "giants", "isolated", "cropped"
 MOST_VIEWS = 24  # that are drawn
 UNSEEN = -88.0  # A logit: the opacity is 0 in float32, and no other program is compiled.
 
@@ -73,23 +73,20 @@ def clean(
     with _kept_alone(out):
         if in_place and _original(out).exists() and not _is_unfinished(out):
             raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_original(out)}")
-        box = None if box is None else given_numbers("--box", box, 6).tolist()
+        box = None if box is None else given_box("--box", box)
         sphere = None if sphere is None else given_numbers("--sphere", sphere, 4).tolist()
-        _check_numbers(box, sphere)
+        if sphere is not None and not sphere[3] > 0:
+            raise InputError(f"--sphere: its radius {sphere[3]:g} is not above 0")
         sweep_beside(out)
         whole = load_gaussians(source)
         result = open_result(source, scene=scene) if is_run(source) or scene is not None else None
         kinds = _outliers_by_kind(whole, result)
-        kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~np.any(
-            list(kinds.values()), 0
-        )
-        is_removed = np.any(list(kinds.values()), axis=0)
+        is_outlier = kinds["giants"] | kinds["isolated"]
+        kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~is_outlier
+        is_removed = is_outlier | kinds["cropped"]
         if is_removed.all():
             raise InputError(f"{source}: none of its {len(is_removed)} Gaussians would be left")
-        report: dict[str, Any] = {
-            "gaussians": int((~is_removed).sum()),
-            **{kind: int(kinds[kind].sum()) for kind in KINDS},
-        }
+        counts = {kind: int(is_of_kind.sum()) for kind, is_of_kind in kinds.items()}
         place = stated_place(file)
         picture = _picture(result, is_removed, out) if result is not None and is_removed.any() else None
         if in_place and is_removed.any():
@@ -98,7 +95,7 @@ def clean(
         if not in_place or is_removed.any():
             format_of(out).write(out, take(whole, ~is_removed), place)  # Last: from now on it is cleaned.
         original = str(_original(out)) if in_place and is_removed.any() else None
-        return report | {"original": original, "picture": picture}
+        return {"gaussians": int((~is_removed).sum()), **counts, "original": original, "picture": picture}
 
 
 def undo(source: str | Path) -> dict[str, Any]:
@@ -136,7 +133,6 @@ def _kept_alone(file: Path) -> AbstractContextManager[None]:
 
 
 def _original(file: Path) -> Path:
-    """Return where the file as it was is kept."""
     return Path(f"{file}.original{file.suffix}")
 
 
@@ -145,23 +141,14 @@ def _is_unfinished(file: Path) -> bool:
     return filecmp.cmp(file, _original(file), shallow=False)
 
 
-def _check_numbers(box: Sequence[float] | None, sphere: Sequence[float] | None) -> None:
-    if box is not None and not all(low <= high for low, high in zip(box[:3], box[3:], strict=True)):
-        raise InputError(f"--box {' '.join(f'{side:g}' for side in box)}: a lower side is above its upper one")
-    if sphere is not None and not sphere[3] > 0:
-        raise InputError(f"--sphere: its radius {sphere[3]:g} is not above 0")
-
-
 def _outliers_by_kind(whole: Gaussians, result: Result | None) -> dict[str, np.ndarray]:
-    """`[N]` bool by kind."""
-    means = np.asarray(whole.means, np.float64)
-    cameras = [] if result is None else _cameras(result)
+    """`[N]` bool by kind; where there are cameras, in their coordinates."""
+    gaussians, centers = whole, None
     if result is not None:
-        means = np.asarray(result.gaussians.means, np.float64)  # the cameras' own coordinates
-        whole = result.gaussians
-    viewmats = np.array([np.asarray(camera.viewmat, np.float64) for camera in cameras])
-    centers = viewmat_centers(viewmats) if cameras else None
-    is_giant = outliers.giants(means, np.exp(np.asarray(whole.log_scales, np.float64)), centers)
+        viewmats = [np.asarray(camera.viewmat, np.float64) for camera in _cameras(result)]
+        gaussians, centers = result.gaussians, viewmat_centers(np.array(viewmats))
+    means = np.asarray(gaussians.means, np.float64)
+    is_giant = outliers.giants(means, np.exp(np.asarray(gaussians.log_scales, np.float64)), centers)
     is_isolated = np.zeros(len(means), bool)
     is_isolated[~is_giant] = outliers.cluster_sizes(means[~is_giant]) <= outliers.most_of_small(len(means))
     return {"giants": is_giant, "isolated": is_isolated}
@@ -174,12 +161,6 @@ def _cameras(result: Result) -> list[Camera]:
         raise InputError(f"{result.source}: has no training views to look from")
     indices = np.unique(np.linspace(0, len(training) - 1, min(MOST_VIEWS, len(training))).astype(int))
     return [training[index] for index in indices]
-
-
-def _hidden(gaussians: Gaussians, hidden: np.ndarray) -> Gaussians:
-    """As many Gaussians, of which some do not show."""
-    logits = np.where(hidden, np.float32(UNSEEN), np.asarray(gaussians.logit_opacities))
-    return replace(gaussians, logit_opacities=logits)
 
 
 def _outside(
@@ -213,13 +194,12 @@ def _picture(result: Result, is_removed: np.ndarray, out: Path) -> str:
     cameras = _cameras(result)
 
     def rendered(hidden: np.ndarray, views: Sequence[Camera]) -> list[np.ndarray]:
-        remaining = _hidden(result.gaussians, hidden)
-        return [picture.colors for picture in gallery.pictures(remaining, views, result.background, "plane")]
+        logits = np.where(hidden, np.float32(UNSEEN), np.asarray(result.gaussians.logit_opacities))
+        gaussians = replace(result.gaussians, logit_opacities=logits)
+        return [picture.colors for picture in gallery.pictures(gaussians, views, result.background, "plane")]
 
     before, after = rendered(np.zeros(len(is_removed), bool), cameras), rendered(is_removed, cameras)
     most = int(np.argmax([np.abs(a - b).mean() for a, b in zip(before, after, strict=True)]))
     (alone,) = rendered(~is_removed, [cameras[most]])
-    panels = {"before": before[most], "after": after[most], "taken out": alone}
-    return str(
-        draw_panels({title: to_bytes(each) for title, each in panels.items()}, Path(f"{out}.cleaned.png"), columns=3)
-    )
+    panels = {"before": to_bytes(before[most]), "after": to_bytes(after[most]), "taken out": to_bytes(alone)}
+    return str(draw_panels(panels, f"{out}.cleaned.png", columns=3))

@@ -40,9 +40,7 @@ def compare(folders: Iterable[str | Path], out: str | Path) -> Path:
     if out.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{out}: the comparison is a page, its name ends in .html")
     if len(folders) < 2:
-        raise InputError(
-            f"there is nothing to compare {folders[0]} with" if folders else "there are no runs to compare"
-        )
+        raise InputError(f"there is nothing to compare {' '.join(map(str, folders))} with")
     require_apart(out, *folders)
     resolved = [folder.resolve() for folder in folders]
     for folder in folders:
@@ -76,9 +74,8 @@ def pooled_by_seed(facts: Sequence[RunFacts]) -> dict[str, list[RunFacts]]:
 
 def differences(pools: Mapping[str, Sequence[RunFacts]]) -> dict[str, list[str]]:
     """Data set and settings, seeds apart, that are not the same in all pools: name -> the value in each of them."""
-    first = [
-        {"data set": pool[0].manifest["scene"], **flat_settings(pool[0].settings)} for pool in pools.values()
-    ]  # What the others of a pool have too.
+    # What the others of a pool have too.
+    first = [{"data set": pool[0].manifest["scene"], **flat_settings(pool[0].settings)} for pool in pools.values()]
     names = [name for name in dict.fromkeys(name for each in first for name in each) if name not in SEEDS]
     values = {name: [each.get(name, "-") for each in first] for name in names}
     return {name: row for name, row in values.items() if len(set(row)) > 1}

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import expit
 
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, take
+from gsjax.gaussians import take
 from gsjax.io.gaussian_files import format_of, load_gaussians, stored_similarity
 from gsjax.io.georeference_files import stated_place
 from gsjax.io.temporary_files import sweep_beside
@@ -51,23 +51,21 @@ def convert(
     sweep_beside(out)
     if sh_degree is not None and not 0 <= sh_degree <= 4:
         raise InputError(f"--sh-degree {sh_degree} is not between 0 and 4")
-    crop = None if crop is None else given_numbers("--crop", crop, 6).tolist()
-    if crop is not None and not all(low <= high for low, high in zip(crop[:3], crop[3:], strict=True)):
-        raise InputError(f"--crop {' '.join(f'{side:g}' for side in crop)}: a lower side is above its upper one")
+    crop = None if crop is None else given_box("--crop", crop)
     if min_opacity is not None and not 0 <= min_opacity <= 1:
         raise InputError(f"--min-opacity {min_opacity:g} is not between 0 and 1")
     gaussians = load_gaussians(source)
     is_kept = np.ones(gaussians.num_gaussians, bool)
     if crop is not None:
-        means, (low, high) = np.asarray(gaussians.means), np.reshape(np.asarray(crop, np.float64), (2, 3))
-        is_kept &= np.all((means >= low) & (means <= high), axis=1)
+        means = np.asarray(gaussians.means)
+        is_kept &= np.all((means >= np.array(crop[:3])) & (means <= np.array(crop[3:])), axis=1)
     if min_opacity is not None:
         is_kept &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
     if not is_kept.any() and len(is_kept):
         raise InputError(f"{source}: none of its {len(is_kept)} Gaussians is wanted by --crop and --min-opacity")
     remaining = take(gaussians, is_kept)
     if sh_degree is not None:
-        remaining = _of_degree(remaining, sh_degree)
+        remaining = replace(remaining, sh_rest=remaining.sh_rest[:, : (sh_degree + 1) ** 2 - 1])
     place = stated_place(source / "gaussians.ply" if source.is_dir() else source)
     clipped = format_of(out).write(out, remaining, place)
     stored = stored_similarity(out)
@@ -82,5 +80,13 @@ def convert(
     }
 
 
-def _of_degree(gaussians: Gaussians, degree: int) -> Gaussians:
-    return replace(gaussians, sh_rest=gaussians.sh_rest[:, : (degree + 1) ** 2 - 1])
+def given_box(option: str, box: Sequence[float]) -> list[float]:
+    """The lower sides of a box that an option was given, then the upper ones.
+
+    Raises:
+        InputError: They are not six numbers, or a lower side is above its upper one.
+    """
+    sides = given_numbers(option, box, 6).tolist()
+    if not all(low <= high for low, high in zip(sides[:3], sides[3:], strict=True)):
+        raise InputError(f"{option} {' '.join(f'{side:g}' for side in sides)}: a lower side is above its upper one")
+    return sides

@@ -6,9 +6,8 @@ from typing import Any
 
 import rasterizer
 from gsjax import config, pipeline
-from gsjax.errors import InputError
 from gsjax.io import analytic_scene, json_files
-from gsjax.io.files import make_folder
+from gsjax.io.files import make_folder, require_empty
 from gsjax.io.machine import machine, versions
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
@@ -44,8 +43,7 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
         InputError: The folder is in use or cannot be written.
     """
     out = Path(out)
-    if out.is_dir() and any(out.iterdir()):
-        raise InputError(f"{out}: this folder is not empty; remove it, or choose another with --out")
+    require_empty(out)
     make_folder(out)
     rasterizer.prepare()
     scene = analytic_scene.write(out / "scene", num_views=NUM_VIEWS, size=SIZE)

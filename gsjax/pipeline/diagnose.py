@@ -61,8 +61,11 @@ def diagnose(
 
 def rows(record: dict[str, Any]) -> list[list[str]]:
     """Return the table of a diagnosis, its head first."""
-    heads = ["effect", "decision", "evidence", "threshold", "note"]
-    return [heads, *([name, *_cells(effect)] for name, effect in record["effects"].items())]
+    rows = [["effect", "decision", "evidence", "threshold", "note"]]
+    for name, effect in record["effects"].items():
+        decision, evidence = "on" if effect["on"] else "off", _evidence(effect, effect["unit"])
+        rows.append([name, decision, evidence, f"{effect['threshold']:g}", effect["note"]])
+    return rows
 
 
 def normals_rows(record: dict[str, Any]) -> list[list[str]]:
@@ -71,9 +74,8 @@ def normals_rows(record: dict[str, Any]) -> list[list[str]]:
         return []
     rows = []
     for name, figures in record["normals"].items():
-        evidence = "-" if figures["evidence"] is None else f"{figures['evidence']:.2f} +-{figures['noise']:.2g}"
         decision, share = "kept" if figures["kept"] else "rejected", f"{100 * figures['share']:.0f} %"
-        rows.append([name, decision, evidence, f"{figures['threshold']:g}", share, figures["note"]])
+        rows.append([name, decision, _evidence(figures, ""), f"{figures['threshold']:g}", share, figures["note"]])
     return [["normals", "decision", "evidence", "threshold", "counts", "note"], *rows]
 
 
@@ -81,9 +83,6 @@ def apart(scene: Scene) -> dict[str, Any]:
     """How many `photos` are trained on, `degrees` between them, and whether validation runs decide (`tried`).
 
     Degrees are those of `gsjax.planning.sparse_views.angle_between_photos`, None without tracks.
-
-    Raises:
-        InputError: The tracks cannot be read, or name points that the scene does not have.
     """
     photos, angle = len(scene.train_frames), angle_between_photos(scene)
     return {"photos": photos, "degrees": angle, "tried": is_tried(photos, angle, SHORTEST)}
@@ -101,11 +100,7 @@ def apart_line(apart: dict[str, Any]) -> str:
 
 
 def draw(diagnosis: Diagnosis, path: Path) -> Path:
-    """Draw gains, fall-off towards the corner, bright smooth pixels, sharpness and sky of the photos as one picture.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Draw gains, fall-off, bright smooth pixels, sharpness and sky of the photos as one picture."""
     figure = new_figure(18, 7.5)
     gains, corner, most_sky, bare, sharpness, skies = figure.subplots(2, 3).flat
     photos = np.arange(len(diagnosis.observations.frames))
@@ -124,12 +119,10 @@ def draw(diagnosis: Diagnosis, path: Path) -> Path:
     sharp = np.array([facts.sharpness for facts in diagnosis.observations.facts])
     sharpness.bar(photos, sharp / max(float(np.median(sharp)), 1e-12))
     sharpness.axhline(1 - diagnosis.effects["blur"].threshold, color="red", linewidth=0.8)
-    shares = [
-        diagnosis.sky[frame.name].mean() if frame.name in diagnosis.sky else 0.0
-        for frame in diagnosis.observations.frames
-    ]
+    frames = diagnosis.observations.frames
+    shares = [diagnosis.sky[frame.name].mean() if frame.name in diagnosis.sky else 0.0 for frame in frames]
     skies.bar(photos, [100 * share for share in shares])
-    frame = diagnosis.observations.frames[int(np.argmax(shares))]
+    frame = frames[int(np.argmax(shares))]
     most_sky.imshow(sky.tinted(frame.pixels().image, diagnosis.sky.get(frame.name)))
     most_sky.set_axis_off()
     titles = {
@@ -147,8 +140,8 @@ def draw(diagnosis: Diagnosis, path: Path) -> Path:
     return path
 
 
-def _cells(effect: dict[str, Any]) -> list[str]:
-    noise = "" if effect["noise"] is None else f" +-{effect['noise']:.2g}"
-    evidence = "-" if effect["evidence"] is None else f"{effect['evidence']:.2f}{noise} {effect['unit']}"
-    decision = "on" if effect["on"] else "off"
-    return [decision, evidence, f"{effect['threshold']:g}", effect["note"]]
+def _evidence(figures: dict[str, Any], unit: str) -> str:
+    if figures["evidence"] is None:
+        return "-"
+    noise = "" if figures["noise"] is None else f" +-{figures['noise']:.2g}"
+    return f"{figures['evidence']:.2f}{noise} {unit}".rstrip()

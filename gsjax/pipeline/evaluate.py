@@ -7,8 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gsjax.effects.alignment import align as aligned_camera
 from gsjax.errors import NoSurfaceError
 from gsjax.meshing.export import read_mesh, read_textured
@@ -25,7 +23,6 @@ from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import Result, open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Scene, Truth
-from gsjax.scene.georeference import Place
 from gsjax.scene.meshes import Mesh
 
 
@@ -58,7 +55,7 @@ def evaluate(
         `gsjax.metrics.mesh_photos.score_appearance` reports; with true normals `normal_error_deg` and
         `normal_error_median_deg` of the rendered depth over object pixels and `normal_error_all_deg` over all surface
         pixels; with true depth `depth_error` (mean absolute, object pixels, scene units), both in held-out views; with
-        true surface points what `score_mesh` returns, the same errors of the mesh's own depth as
+        true surface points `gsjax.metrics.geometry.SCORES` of the mesh, the same errors of its own depth as
         `mesh_normal_error_deg` and so on, and `distances`, "point to surface" or, without true triangles, "point to
         point"; with true triangles `floor`: the same scores of the true mesh itself. The scores of a mesh without
         surface where cameras saw the truth, as of a poor run, are None, and a line on stderr says so.
@@ -70,9 +67,8 @@ def evaluate(
     result, folder = open_result(run), Run.open(run)
     background, effects = folder.settings["model"]["background"], folder.photo_effects
     scene = scene_of_run(run, scene=scene_folder)
-    zoomed = {  # Refused before hours of scoring.
-        zoom: scene_of_run(run, zoom=zoom, scene=scene_folder).held_out_frames for zoom in zooms
-    }
+    # Refused before hours of scoring.
+    zoomed = {zoom: scene_of_run(run, zoom=zoom, scene=scene_folder).held_out_frames for zoom in zooms}
     local_mesh = None if mesh is None else scene.similarity.mesh_to_local(read_mesh(mesh))
     if three_ways and not effects.appearances:
         effects = effects._replace(appearances=appearances_of_tracks(scene))
@@ -109,7 +105,10 @@ def _surface_scores(run: Path, result: Result, scene: Scene, local_mesh: Mesh | 
     assert truth is not None, "only what has a truth is scored by it"
     surface = score_surface(result.gaussians, scene.held_out_frames, truth, result.depth_mode)
     if truth.points is not None and truth.point_normals is not None:
-        true = None if truth.mesh is None else similarity.mesh_to_local(_in_world(read_mesh(truth.mesh), scene.place))
+        true = None
+        if truth.mesh is not None:
+            true = read_mesh(truth.mesh)
+            true = similarity.mesh_to_local(replace(true, vertices=scene.place.points_to_world(true.vertices)))
         names = (*geometry.SCORES, *(f"mesh_{name}" for name in surface))
         score = partial(_score_mesh, frames=scene.held_out_frames, truth=truth, true_mesh=true)
         try:
@@ -131,33 +130,11 @@ def _own_mesh(run: Path) -> Mesh:
     return read_mesh(file)
 
 
-def _in_world(mesh: Mesh, place: Place) -> Mesh:
-    return replace(mesh, vertices=place.points_to_world(mesh.vertices))
-
-
 def _score_mesh(mesh: Mesh, frames: tuple[Frame, ...], truth: Truth, true_mesh: Mesh | None) -> dict[str, Any]:
-    """Of its surface, and of its depth in these frames."""
+    """Distances from the true triangles, or without them from the points; and errors of the depth in these frames."""
     assert truth.points is not None and truth.point_normals is not None, "nothing else is scored here"
-    return score_mesh(mesh, truth.points, truth.point_normals, true_mesh) | score_mesh_views(mesh, frames, truth)
-
-
-def score_mesh(
-    mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, true_mesh: Mesh | None
-) -> dict[str, float]:
-    """How far a mesh is from the true surface: from its triangles where they are known, else from its points.
-
-    Args:
-        mesh: The prediction.
-        seen_points: `[P, 3]` points of the true surface that cameras saw, world.
-        seen_normals: `[P, 3]` its normals there.
-        true_mesh: The true triangles, where they are known.
-
-    Returns:
-        `gsjax.metrics.geometry.SCORES`: `chamfer`, `accuracy`, `completeness`, `fscore`, `normal_consistency`, ...
-
-    Raises:
-        NoSurfaceError: Nothing of the mesh lies where cameras saw something.
-    """
     if true_mesh is None:
-        return geometry.compare_to_truth(mesh, seen_points, seen_normals)
-    return geometry.compare_to_surface(mesh, true_mesh, seen_points, seen_normals, closest_on_mesh)
+        scores = geometry.compare_to_truth(mesh, truth.points, truth.point_normals)
+    else:
+        scores = geometry.compare_to_surface(mesh, true_mesh, truth.points, truth.point_normals, closest_on_mesh)
+    return scores | score_mesh_views(mesh, frames, truth)

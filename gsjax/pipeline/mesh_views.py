@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from gsjax.rendering.gallery import Picture
 from gsjax.rendering.outliers import are_floaters
 from gsjax.runs.normal_source import VIEWS_FOR_NOISE
 from gsjax.runs.result import Result, training_pictures
+from gsjax.runs.viewpoints import evenly_spread
 from gsjax.scene import Scene
 from gsjax.scene.colors import to_bytes
 from gsjax.stereo import StereoMap, depths_of_photos, read_stereo_maps, stereo_maps
@@ -28,30 +28,11 @@ BYTES_PER_PIXEL = 15  # of a stored picture
 STORED_SHARE = 0.5  # of the free memory: pictures that take more are rendered again instead
 
 
-class StoredPicture(NamedTuple):
-    """A picture with the colours that every method uses, in bytes."""
-
-    colors: np.ndarray  # [H, W, 3] uint8
-    depth: np.ndarray  # [H, W] float32
-    alphas: np.ndarray  # [H, W] float32
-    owners: np.ndarray | None  # [H, W] int32
-
-    def picture(self) -> Picture:
-        """Return the picture; its colours are rounded to bytes."""
-        return Picture(self.colors.astype(np.float32) / 255, self.depth, self.alphas, self.owners)
-
-
 class MeshViews:
     """What the training views show, each thing computed once, when a method reads it."""
 
     def __init__(self, result: Result, data: Scene | None, *, with_owners: bool):
-        """Render nothing yet.
-
-        Args:
-            result: Whose training views.
-            data: Its data set. None: its photos are not available.
-            with_owners: Whether pictures have owners.
-        """
+        """Of a result and its data set, None where its photos are gone; with the owners of pixels or without."""
         self.result, self.data, self.with_owners = result, data, with_owners
         self.training = [index for index, held_out in enumerate(result.held_out) if not held_out]
         self.cameras = [result.cameras[index] for index in self.training]
@@ -59,13 +40,15 @@ class MeshViews:
 
     def pictures(self, ids: Sequence[int] | None = None) -> Iterator[Picture]:
         """Return what the Gaussians show, in their constant colour, to the views of some indices. None: to all."""
+        ids = self.ids if ids is None else ids
         if not self._are_stored:
-            return self._rendered(self.ids if ids is None else ids)
-        return (self._stored[index].picture() for index in (self.ids if ids is None else ids))
+            return self._rendered(ids)
+        stored = (self._stored[index] for index in ids)
+        return (picture._replace(colors=picture.colors.astype(np.float32) / 255) for picture in stored)
 
     def spread(self, most: int) -> Sequence[int]:
         """Return the indices of at most so many views, evenly spread."""
-        return np.unique(np.linspace(0, len(self.ids) - 1, min(most, len(self.ids))).round().astype(int)).tolist()
+        return evenly_spread(len(self.ids), most)
 
     def without_floaters(self) -> tuple["MeshViews", int]:
         """Return the views of the Gaussians that do not hang in the air, and how many do."""
@@ -120,8 +103,9 @@ class MeshViews:
         return BYTES_PER_PIXEL * pixels < STORED_SHARE * free_memory()
 
     @cached_property
-    def _stored(self) -> list[StoredPicture]:
-        return [StoredPicture(to_bytes(each.colors), *each[1:]) for each in self._rendered(self.ids)]
+    def _stored(self) -> list[Picture]:
+        """All pictures, their colours as bytes."""
+        return [picture._replace(colors=to_bytes(picture.colors)) for picture in self._rendered(self.ids)]
 
     def _rendered(self, ids: Sequence[int], *, with_owners: bool | None = None) -> Iterator[Picture]:
         indices = {self.training[index] for index in ids}

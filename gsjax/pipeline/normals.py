@@ -20,7 +20,7 @@ from gsjax.networks.records import DEPTH_NETWORKS, NETWORKS, DepthNetwork, Norma
 from gsjax.normals.axes import axes_verdict, facing_votes
 from gsjax.normals.fitted_depth import DepthFit
 from gsjax.planning.sizes import chosen_downscale
-from gsjax.scene import Frame, Scene
+from gsjax.scene import Frame
 from gsjax.settings import Photos
 
 MOST_NAMED = 5  # rejected photos that a report names
@@ -64,7 +64,11 @@ def normals(
     name, record = read_network(network)
     is_depth = isinstance(record, DepthNetwork)
     estimator = DepthEstimator(record, weights) if is_depth else NormalEstimator(record, weights)
-    loaded, downscale = _sized(scene, downscale, images)
+    loaded = load_scene(scene, images=images)
+    # Not asking jax for its device: a GPU's memory is the network's here.
+    downscale = chosen_downscale(Photos(downscale=downscale), loaded.frames, on_cpu=False)
+    if downscale != 1:
+        loaded = load_scene(scene, downscale=downscale, images=images)
     frames = loaded.frames
     estimate = DepthNormals(estimator, loaded) if isinstance(estimator, DepthEstimator) else _unfitted(estimator)
     folder = Path(scene) / f"{normal_folders.PREFIX}{name}" if out is None else Path(out)
@@ -86,15 +90,15 @@ def normals(
             normal_folders.add(folder, manifest, frame.name, file, normal_map, _about(frame, normal_map, fit))
         seconds = time.perf_counter() - began
     maps = [manifest["maps"][frame.name] for frame in frames]
+    if is_depth:
+        judged_by = _fits(manifest["maps"], frames)
+    else:
+        judged_by = {"axes": axes_verdict(np.sum([one["votes"] for one in maps], axis=0))}
     return {
         "maps": len(maps),
         "made": len(missing),
         "known": float(np.mean([one["known"] for one in maps])),
-        **(
-            _fits(manifest["maps"], frames)
-            if is_depth
-            else {"axes": axes_verdict(np.sum([one["votes"] for one in maps], axis=0))}
-        ),
+        **judged_by,
         "provider": estimator.graph.provider,
         "seconds_per_map": seconds / len(missing) if missing else None,
         "licence": record.licence,
@@ -110,14 +114,6 @@ def read_network(network: str | Path) -> tuple[str, NormalNetwork | DepthNetwork
     """
     networks: dict[str, NormalNetwork | DepthNetwork] = {**NETWORKS, **DEPTH_NETWORKS}
     return read_record(network, networks, lambda data: DepthNetwork if "kind" in data else NormalNetwork)
-
-
-def _sized(scene: str | Path, downscale: float | None, images: str | None) -> tuple[Scene, float]:
-    """The data set with frames of the size of their maps, and how many times smaller than the photos that is."""
-    loaded = load_scene(scene, images=images)
-    # Not asking jax for its device: a GPU's memory is the network's here.
-    factor = chosen_downscale(Photos(downscale=downscale), loaded.frames, on_cpu=False)
-    return (loaded if factor == 1 else load_scene(scene, downscale=factor, images=images)), factor
 
 
 def _unfitted(estimator: NormalEstimator) -> Callable[[Frame], tuple[np.ndarray, None]]:

@@ -100,8 +100,6 @@ def refine(
     task = _prepare(settings, trained, source, Path(out), scene_of_run(run, scene=scene_folder))
     folder = _run_folder(task, out, resume=resume)
     with runs.claim_run(folder):
-        if resume:  # An earlier version left none.
-            json_files.write(folder / "plan.json", _plan(settings, trained))
         return _write(task, folder, *_fit(task, folder))
 
 
@@ -153,7 +151,6 @@ def _prepare(settings: Refinement, trained: Run, source: Path, out: Path, scene:
 
 
 def _run_folder(task: _Task, out: str | Path, *, resume: bool) -> Path:
-    """Create the folder of the run, or open it again."""
     settings, scene = task.settings, task.scene
     record = {**task.trained.settings, "mesh": str(task.source.resolve()), "refinement": config.to_dict(settings)}
     if resume:
@@ -165,6 +162,7 @@ def _run_folder(task: _Task, out: str | Path, *, resume: bool) -> Path:
 def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
     """Train from the last checkpoint on, and return the Gaussians and what the report says of the training."""
     settings, behind = task.settings, task.trained.photo_effects.background
+    background = task.trained.settings["model"]["background"]
     optimizer = refinement.make_optimizer(settings, extent(task.frames), task.mesh.num_vertices)
     photo_report: dict[str, float] = {}
 
@@ -188,17 +186,13 @@ def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
             task.data,
             state,
             optimizer,
-            background=BACKGROUNDS[_background(task)] if behind is None else lambda key: jnp.asarray(behind),
+            background=BACKGROUNDS[background] if behind is None else lambda key: jnp.asarray(behind),
             observe=journal.note,
             move_mesh=move_mesh,
             capacity=capacity,
         )
     summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": task.taken_out}
     return state.gaussians, summary | {"photo_refine": photo_report or None}
-
-
-def _background(task: _Task) -> str:
-    return task.trained.settings["model"]["background"]
 
 
 def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
@@ -211,12 +205,8 @@ def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
 def prepare_mesh(original: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:
     """A mesh that Gaussians can be bound to: without triangles that spoil it, decimated where it has too many.
 
-    Parts stay, however small: what to leave out was decided when the mesh was made. One line says what went.
-
-    Args:
-        original: Any mesh.
-        most_faces: Above it, the mesh is decimated.
-        halved_share: Of these, not to be filled by the decimation.
+    Parts stay, however small: what to leave out was decided when the mesh was made. Decimation leaves `halved_share` of
+    the triangles for later. One line says what went.
 
     Returns:
         The mesh, and numbers of triangles: `degenerate`, `duplicate`, `non_manifold`, `decimated`.
@@ -279,7 +269,7 @@ def _write(task: _Task, folder: Path, hybrid: MixedGaussians, summary: dict[str,
     scores = score_images(
         gaussians,
         scene.held_out_frames,
-        _background(task),
+        task.trained.settings["model"]["background"],
         photo_effects=effects.with_near_appearances(scene.frames),
         align=align if effects.moves else None,
         depth_mode=DEPTH_OF_DISCS,

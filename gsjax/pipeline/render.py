@@ -128,7 +128,6 @@ def picture_stems(names: Sequence[str]) -> list[str]:
 
 
 def _check(out: Path, views: Views, path: str | Path | None, of_films: dict[str, object]) -> None:
-    """Refuse options that do not fit the output."""
     if is_video(out):
         if path is None and views in ("all", "held_out"):
             raise InputError(f"--out {out}: a film needs --turntable, --through-photos or --path")
@@ -188,7 +187,6 @@ def _open_mesh(source: Path, up: np.ndarray) -> _Source:
 
 
 def _write_pictures(out: Path, source: _Source, views: Views) -> None:
-    """Write the pictures of every chosen view into a folder."""
     if views == "turntable":
         cameras = source.circle()
         stems = [f"turn_{index:03d}" for index in range(len(cameras))]

@@ -27,7 +27,7 @@ from gsjax.rendering import gallery
 from gsjax.report.figures import draw_panels
 from gsjax.report.page import report as write_report
 from gsjax.report.pictures import mesh_picture, surface_picture
-from gsjax.runs.folder import is_finished
+from gsjax.runs import is_finished
 from gsjax.runs.result import open_result
 from gsjax.scene.colors import to_bytes
 from gsjax.settings import Settings

@@ -1,21 +1,32 @@
-"""A run or a file of Gaussians as one page that opens anywhere."""
+"""A run or a file of Gaussians as one page that opens anywhere.
 
-from dataclasses import replace
+The viewer is `gsjax/sharing/templates/share.js`. It draws by Spark and three.js, which `vendor/libraries.min.js.gz` in
+`gsjax/sharing` holds.
+"""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gsjax import sharing
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, opacities, take
+from gsjax.gaussians import SH_C0, Gaussians, opacities, take
+from gsjax.io import json_files
 from gsjax.io.packing import MOST_DEGREE
+from gsjax.io.spz import spz_bytes
 from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing.export import glb_bytes
+from gsjax.report.page import write_page
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result
-from gsjax.runs.viewpoints import mean_up, opaque_middle
-from gsjax.sharing.page import Shared, write_shared
+from gsjax.runs.viewpoints import evenly_spread, mean_up, opaque_middle
+from gsjax.scene.cameras import Camera, viewmat_center
 
+LIBRARIES = Path(sharing.__file__).parent / "vendor" / "libraries.min.js.gz"
 MOST_BOOKMARKS = 12
 
 
@@ -39,8 +50,9 @@ def share(
         sh_degree: Harmonics above this degree, 0-3, are left out. None: none of them up to 3.
 
     Returns:
-        `gaussians`: how many the page holds, and `left_out`; `bookmarks`: how many cameras; and what
-        `gsjax.sharing.page.write_shared` returns.
+        `gaussians`: how many the page holds, and `left_out`; `bookmarks`: how many cameras; `clipped`: how many
+        Gaussians hold values that SPZ cannot reach. Bytes within the page, each a third larger than by itself:
+        `splats`, `mesh` and `viewer`; and of all of it: `bytes`.
 
     Raises:
         InputError: A file cannot be read or written, or an option is out of range.
@@ -55,30 +67,40 @@ def share(
     require_apart(out, source, mesh)
     sweep_beside(out)
     mesh_file = _mesh_of(source) if mesh is None else Path(mesh)
-    glb = None if mesh_file is None else glb_bytes(mesh_file)
+    glb = b"" if mesh_file is None else glb_bytes(mesh_file)
     result = open_result(source)
     if not result.gaussians.num_gaussians:
         raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
-    remaining = most_visible(result.gaussians, max_gaussians)
+    remaining = _most_visible(result.gaussians, max_gaussians)
     bands = ((MOST_DEGREE if sh_degree is None else sh_degree) + 1) ** 2 - 1
-    figures = write_shared(
+    splats, clipped = spz_bytes(replace(remaining, sh_rest=remaining.sh_rest[:, :bands]), out)
+    bookmarks = [
+        (result.names[index], result.cameras[index]) for index in evenly_spread(len(result.cameras), MOST_BOOKMARKS)
+    ]
+    parts = {"splats": splats, "mesh": glb, "libraries": LIBRARIES.read_bytes()}
+    encoded = {name: b64encode(content).decode() for name, content in parts.items()}
+    write_page(
         out,
-        Shared(
-            title=source.resolve().name if title is None else title,
-            gaussians=replace(remaining, sh_rest=remaining.sh_rest[:, :bands]),
-            bookmarks=(bookmarks := thinned(result)),
-            middle=opaque_middle(result.gaussians),
-            up=mean_up(result.cameras),
-            background=np.asarray(result.background),
-            similarity=result.similarity,
-            glb=glb,
-        ),
+        "share.html",
+        package="gsjax.sharing",
+        title=source.resolve().name if title is None else title,
+        view={**_view(result, bookmarks), "has_mesh": bool(glb)},
+        **encoded,
     )
-    left_out = result.gaussians.num_gaussians - remaining.num_gaussians
-    return {"gaussians": remaining.num_gaussians, "left_out": left_out, "bookmarks": len(bookmarks), **figures}
+    page_bytes, splat_bytes, mesh_bytes = out.stat().st_size, len(encoded["splats"]), len(encoded["mesh"])
+    return {
+        "gaussians": remaining.num_gaussians,
+        "left_out": result.gaussians.num_gaussians - remaining.num_gaussians,
+        "bookmarks": len(bookmarks),
+        "clipped": clipped,
+        "splats": splat_bytes,
+        "mesh": mesh_bytes,
+        "viewer": page_bytes - splat_bytes - mesh_bytes,
+        "bytes": page_bytes,
+    }
 
 
-def most_visible(gaussians: Gaussians, most: int | None) -> Gaussians:
+def _most_visible(gaussians: Gaussians, most: int | None) -> Gaussians:
     """The Gaussians, at most so many, whose opacity times area of the larger two axes is largest; in their order."""
     if most is None or gaussians.num_gaussians <= most:
         return gaussians
@@ -87,14 +109,37 @@ def most_visible(gaussians: Gaussians, most: int | None) -> Gaussians:
     return take(gaussians, np.sort(np.argsort(-cover, kind="stable")[:most]))
 
 
-def thinned(result: Result) -> list[tuple[str, Any]]:
-    """Names and cameras of at most a dozen views, evenly spread over all."""
-    count = len(result.cameras)
-    places = np.unique(np.linspace(0, count - 1, min(MOST_BOOKMARKS, count)).round().astype(int))
-    return [(result.names[place], result.cameras[place]) for place in places]
-
-
 def _mesh_of(source: Path) -> Path | None:
     """The mesh that a run folder holds, the textured one where there are two."""
     files = [source / name for name in ("mesh.glb", "mesh.ply") if source.is_dir() and (source / name).is_file()]
     return files[0] if files else None
+
+
+def _view(result: Result, bookmarks: Sequence[tuple[str, Camera]]) -> dict[str, Any]:
+    """What `share.js` reads, in JSON's own types and local coordinates; the page begins at the first bookmark."""
+    viewmats = np.stack([np.asarray(camera.viewmat, np.float64) for _, camera in bookmarks])
+    middle = opaque_middle(result.gaussians)
+    return json_files.plain(
+        {
+            "up": mean_up(result.cameras),
+            "middle": middle,
+            "scale": float(np.linalg.norm(viewmat_center(viewmats[0]) - middle)) or 1.0,
+            "background": _hex(np.asarray(result.background)),
+            "is_mip": result.gaussians.pixel_filter == "mip",
+            "similarity": asdict(result.similarity),
+            "bookmarks": [
+                {
+                    "name": name,
+                    "viewmat": viewmat.T.ravel(),  # by columns, as three.js has it
+                    "slopes": [camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1]],
+                }
+                for viewmat, (name, camera) in zip(viewmats, bookmarks, strict=True)
+            ],
+        }
+    )
+
+
+def _hex(background: np.ndarray) -> str:
+    """`#rrggbb` of a colour, or of the mean of a background that changes with the direction."""
+    color = background if background.ndim == 1 else SH_C0 * background[0] + 0.5
+    return "#" + bytes(np.rint(255 * np.clip(color, 0, 1)).astype(np.uint8)).hex()

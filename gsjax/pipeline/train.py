@@ -1,7 +1,7 @@
 """A data set to Gaussians, in a run folder that can be stopped and continued at any moment."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -64,7 +64,7 @@ def train(
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
-        out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
+        out: Run folder, see `gsjax.runs`; absent or empty unless `resume`.
         settings: The run, or a table of it such as `gsjax.presets.PRESETS["quick"]`. A phase gives terms of the loss
             their weights by name.
         terms: The run's own loss terms by name, in addition to those of `gsjax.training.terms.TERMS` or in their place:
@@ -98,37 +98,18 @@ def train(
         request = ask(scene, folder, settings, *pieces, resume=resume, warm_start=warm_start, devices=devices)
         loaded = load(request)
         prepared = prepare(request, loaded)
-        planned = _plan(request, loaded, prepared)
+        planned = replace(prepared.plan.with_effects(prepared.effects.names), downscale=loaded.downscale)
+        steps_in_common = request.warm_start and shared_steps(request.warm_start, planned)
         run = _open_run(request, loaded, planned)
         with runs.claim_run(run):
             runs.update_manifest(run, **prepared.notes)
             if prepared.stereo and is_first():
                 write_stereo_maps(run, prepared.stereo)
-            trained = _fit(run, request, prepared, planned, observe)
-            return _write(run, prepared, planned, trained)
+            state, seconds = _fit(run, request, prepared, planned, steps_in_common, observe)
+            return _write(run, prepared, planned, state, seconds)
 
 
-@dataclass(frozen=True)
-class _Planned:
-    """What runs."""
-
-    plan: Plan
-    optimizer: Optimizer
-    steps_in_common: int | None  # with the run of a warm start
-
-
-def _plan(request: Asked, loaded: Loaded, prepared: Prepared) -> _Planned:
-    """The plan with the chosen effects, its optimizer, and where a warm start begins."""
-    planned = replace(prepared.plan.with_effects(prepared.effects.names), downscale=loaded.downscale)
-    rates = planned.rates
-    optimizer = optimizers.make_optimizer(
-        rates, prepared.extent, rates.decay_steps, views_per_step=planned.views_per_step
-    )
-    return _Planned(planned, optimizer, request.warm_start and shared_steps(request.warm_start, planned))
-
-
-def _open_run(request: Asked, loaded: Loaded, planned: _Planned) -> Path:
-    """The run folder, made or reopened."""
+def _open_run(request: Asked, loaded: Loaded, planned: Plan) -> Path:
     settings = config.to_dict(request.settings)
     if request.resumed:
         return runs.reopen(request.out, settings, scene=request.scene)
@@ -139,44 +120,43 @@ def _open_run(request: Asked, loaded: Loaded, planned: _Planned) -> Path:
         seed=request.settings.seed,
         similarity=loaded.scene.similarity,
         place=loaded.scene.place,
-        plan=planned.plan.record(),
+        plan=planned.record(),
         split=loaded.split,
     )
 
 
-@dataclass(frozen=True)
-class _Trained:
-    """What the steps left."""
-
-    state: TrainState  # on one device
-    seconds: float
-
-
 def _fit(
-    run: Path, request: Asked, prepared: Prepared, planned: _Planned, observe: Callable[[Progress], None] | None
-) -> _Trained:
-    """Take the steps of the plan from the newest checkpoint on."""
-    effects, mesh, model = prepared.effects, request.mesh, request.settings.model
-    model = replace(model, max_gaussians=planned.plan.max_gaussians)
-    initial = partial(
-        first_state, prepared.start, model, planned.plan.rule, planned.optimizer, effects.effects, skies=effects.skies
+    run: Path,
+    request: Asked,
+    prepared: Prepared,
+    planned: Plan,
+    steps_in_common: int | None,  # with the run of a warm start
+    observe: Callable[[Progress], None] | None,
+) -> tuple[TrainState, float]:
+    """Take the steps of the plan from the newest checkpoint on; return the state, on one device, and the seconds."""
+    effects, mesh, rates = prepared.effects, request.mesh, planned.rates
+    optimizer = optimizers.make_optimizer(
+        rates, prepared.extent, rates.decay_steps, views_per_step=planned.views_per_step
     )
-    state, capacity, seconds = starting_point(run, initial, request.warm_start, planned.steps_in_common)
+    model = replace(request.settings.model, max_gaussians=planned.max_gaussians)
+    initial = partial(first_state, prepared.start, model, planned.rule, optimizer, effects.effects, skies=effects.skies)
+    state, capacity, seconds = starting_point(run, initial, request.warm_start, steps_in_common)
     if request.warm_start is not None:
-        take_normals(request.warm_start, run, planned.plan, int(state.step))
+        take_normals(request.warm_start, run, planned, int(state.step))
     state = _of_first(state, initial)
     whole = (lambda state: state) if mesh is None else jax.device_get
-    with TrainingJournal(run, planned.plan, prepared.scene, int(state.step), seconds, effects, whole) as journal:
-        work = _work(prepared, planned, mesh, journal, observe)
+    with TrainingJournal(run, planned, prepared.scene, int(state.step), seconds, effects, whole) as journal:
+        work = _work(prepared, planned, optimizer, mesh, journal, observe)
         if mesh is not None:  # Of several processes only the first knows the stored capacity.
             state, capacity = data_parallel.replicate(state, mesh), None
         state = whole(follow(work, state, capacity))
-        return _Trained(state, journal.seconds)
+        return state, journal.seconds
 
 
 def _work(
     prepared: Prepared,
-    planned: _Planned,
+    planned: Plan,
+    optimizer: Optimizer,
     mesh: Mesh | None,
     journal: TrainingJournal,
     observe: Callable[[Progress], None] | None,
@@ -195,10 +175,10 @@ def _work(
         return [from_first(each) for each in prepared.normals(state.gaussians, moved)]
 
     return Work(
-        planned.plan,
+        planned,
         frames,
         prepared.extent,
-        planned.optimizer,
+        optimizer,
         prior=normals,
         observe=note,
         effects=effects.effects,
@@ -220,9 +200,9 @@ def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainS
     return from_first(state)
 
 
-def _write(run: Path, prepared: Prepared, planned: _Planned, trained: _Trained) -> dict[str, Any]:
+def _write(run: Path, prepared: Prepared, planned: Plan, state: TrainState, seconds: float) -> dict[str, Any]:
     """Write Gaussians, cameras and effects, score the held-out views, and report."""
-    effects, state = prepared.effects, trained.state
+    effects = prepared.effects
     photo_effects = effects.photo_effects(state.effects)
     scene = replace(prepared.scene, frames=with_moved_cameras(prepared.scene.frames, photo_effects.moves))
     gaussians = jax.tree.map(np.asarray, state.gaussians.alive())
@@ -238,17 +218,17 @@ def _write(run: Path, prepared: Prepared, planned: _Planned, trained: _Trained) 
     scores = score_images(
         state.gaussians,
         scene.held_out_frames,
-        planned.plan.background,
+        planned.background,
         photo_effects=photo_effects.with_near_appearances(scene.frames),
         align=align if photo_effects.moves else None,
-        depth_mode=planned.plan.depth_mode,
+        depth_mode=planned.depth_mode,
         observe=picture_keeper(run),
     )
     summary = {
         **scores,
         "gaussians": gaussians.num_gaussians,
         "steps": int(state.step),
-        "train_seconds": round(trained.seconds, 1),
+        "train_seconds": round(seconds, 1),
     }
     runs.update_manifest(run, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
     report_if_installed(run)

@@ -75,9 +75,8 @@ class TrainingJournal(Journal):
         """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""
         planned, photo_effects = self.plan, self.chosen.photo_effects(state.effects)
         frames = with_moved_cameras(self.scene.held_out_frames, photo_effects.moves)
-        photo_effects = photo_effects.with_near_appearances(self.scene.frames)._replace(
-            appearances={}
-        )  # the other scores come at the end
+        # The other scores come at the end.
+        photo_effects = photo_effects.with_near_appearances(self.scene.frames)._replace(appearances={})
         scores = score_images(
             state.gaussians, frames, planned.background, photo_effects=photo_effects, depth_mode=planned.depth_mode
         )

@@ -15,7 +15,7 @@ from gsjax.io.images import write_image
 from gsjax.io.photo_names import written_name
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import OWN_LIST
-from gsjax.scene import Frame, Pixels
+from gsjax.scene import Frame
 
 
 def undistort(
@@ -49,7 +49,8 @@ def undistort(
             if name in frames_by_name:
                 raise InputError(f"{scene}: two of its photos would both be written as {name}")
             frames_by_name[name] = replace(frame, name=name)
-            write_image(folder / "images" / name, _picture(pixels))
+            picture = pixels.image if pixels.matte is None else np.dstack([pixels.image, pixels.matte])
+            write_image(folder / "images" / name, picture)
             if pixels.valid is not None and not pixels.valid.all():
                 write_image(folder / "masks" / f"{name}.png", pixels.valid)
                 masks += 1
@@ -59,7 +60,3 @@ def undistort(
         write_model(folder / "sparse" / "0", frames, loaded.points, loaded.point_colors, loaded.similarity)
         write_place(folder, loaded.place.reached)
     return {"images": len(frames_by_name), "held_out": len(held_out), "masks": masks, "points": len(loaded.points)}
-
-
-def _picture(pixels: Pixels) -> np.ndarray:
-    return pixels.image if pixels.matte is None else np.dstack([pixels.image, pixels.matte])

@@ -49,22 +49,15 @@ class Chart(NamedTuple):
 def chart(title: str, unit: str, curves: Sequence[Curve], marks: Sequence[tuple[float, str]] = ()) -> Chart | None:
     """Places curves between axes: x from 0 to the last point, y from tick to tick around all of them.
 
-    Args:
-        title: What is drawn.
-        unit: Of the x axis.
-        curves: Lines; those of fewer than two points are left out.
-        marks: Values of x, and their names.
-
-    Returns:
-        The chart, or None where there is no line to draw.
+    Curves of fewer than two points are left out. None where no other is left.
     """
     curves = [curve for curve in curves if len(curve.x) > 1]
     if not curves:
         return None
     values = np.concatenate([each for c in curves for each in (c.y, c.low, c.high) if each is not None])
-    x_ticks = _ticks(0.0, max(float(c.x.max()) for c in curves))
-    y_ticks = _ticks(float(values.min()), float(values.max()))
-    end, (bottom, top) = max(float(c.x.max()) for c in curves), (y_ticks[0], y_ticks[-1])
+    end = max(float(c.x.max()) for c in curves)
+    x_ticks, y_ticks = _ticks(0.0, end), _ticks(float(values.min()), float(values.max()))
+    bottom, top = y_ticks[0], y_ticks[-1]
 
     def across(x: np.ndarray) -> np.ndarray:
         return LEFT + (RIGHT - LEFT) * np.asarray(x, float) / end

@@ -12,7 +12,7 @@ import numpy as np
 from gsjax.io.json_shapes import check
 from gsjax.report import tables
 from gsjax.report.curves import Chart, Curve, chart
-from gsjax.runs.records import WHOLE_MANIFEST
+from gsjax.runs.records import FIGURES, WHOLE_MANIFEST
 from gsjax.runs.run import Run
 
 AXES = {"steps": "step", "seconds": "seconds"}  # Name of an axis, and what a line of metrics calls it.
@@ -25,18 +25,6 @@ CHARTS = {
     },
     "Gaussians": {"Gaussians": "gaussians"},
 }
-CAME_OF_IT = (
-    "registered",
-    "points",
-    "psnr",
-    "psnr_near_gains",
-    "ssim",
-    "gaussians",
-    "vertices",
-    "faces",
-    "floaters",
-    "seen_share",
-)
 SPLITS = {"auto": "the data set's own split, else every 8th shot by name", "none": "asked for: all photos train"}
 
 REPORTED = {"photos": {"hold_out": str}, "seed": int, "refinement?": {"seed": int}}
@@ -51,11 +39,7 @@ class RunFacts(Run):
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """The run in a folder, with the entries that a report requires.
-
-        Raises:
-            InputError: It is no run folder, or a file is damaged.
-        """
+        """The run in a folder, with the entries that a report requires; InputError where one is damaged."""
         run = super().open(folder)
         check(run.folder / "manifest.json", run.manifest, WHOLE_MANIFEST)
         check(run.folder / "config.json", run.settings, REPORTED)
@@ -73,7 +57,7 @@ class RunFacts(Run):
     @property
     def stages(self) -> dict[str, dict[str, Any]]:
         """Figures of every stage that this folder knows of, by name."""
-        own = {name: self.manifest[name] for name in CAME_OF_IT if name in self.manifest}
+        own = {name: self.manifest[name] for name in FIGURES if name in self.manifest}
         first = {**own, "seconds": self.manifest.get("train_seconds"), "peak_gib": self.manifest.get("peak_gib")}
         return {"refine" if self.is_refinement else "train": first, **self.manifest.get("stages", {})}
 
@@ -87,9 +71,10 @@ def what_was_read(run: RunFacts) -> Rows:
 def what_was_decided(run: RunFacts) -> Rows:
     """What, how, and why."""
     hold_out, factor = str(run.settings["photos"]["hold_out"]), run.downscale
+    held_out = f"{sum(view['held_out'] for view in run.views)} of {len(run.views)}" if run.views else "not told yet"
     return [
         ("Size of the photos", f"reduced {factor:g} times" if factor > 1 else "as they are", _photos(run)),
-        ("Photos for scoring", _count_held_out(run), SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
+        ("Photos for scoring", held_out, SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
         ("Normals", *_normals(run)),
         ("Effects of photography", *_effects(run)),
         *_dropout(run),
@@ -149,9 +134,7 @@ def stage_rows(stages: Mapping[str, Mapping[str, Any]]) -> Rows:
             name,
             tables.format_value(figures.get("seconds")),
             tables.format_value(figures.get("peak_gib")),
-            ", ".join(
-                f"{key} {tables.format_value(figures[key])}" for key in CAME_OF_IT if figures.get(key) is not None
-            ),
+            ", ".join(f"{key} {tables.format_value(figures[key])}" for key in FIGURES if figures.get(key) is not None),
         )
         for name, figures in stages.items()
     ]
@@ -172,10 +155,8 @@ def charts(
 ) -> list[Chart]:
     """Curves against `axis`, "steps" or "seconds": the mean of the runs under each label.
 
-    Args:
-        pools: Label -> its runs. Lines are named after it where there are several, and phases marked where not.
-        axis: What x is.
-        titles: Title of a chart -> name of a line, and what the metrics call it. The last line is the one that counts.
+    Lines are named after the labels where there are several, and phases marked where not. A title has names of lines,
+    and what the metrics call them; the last line is the one that counts.
     """
     alone, figures = len(pools) == 1, []
     for title, lines in titles.items():
@@ -222,10 +203,6 @@ def _photos(run: RunFacts) -> str:
         return run.manifest["photos"]
     sizes = sorted({(view["width"], view["height"]) for view in run.views}, reverse=True)
     return f"{len(run.views)} photos at {sizes[0][0]}x{sizes[0][1]}" if sizes else "not told yet"
-
-
-def _count_held_out(run: RunFacts) -> str:
-    return f"{sum(view['held_out'] for view in run.views)} of {len(run.views)}" if run.views else "not told yet"
 
 
 def state(run: RunFacts) -> str:

@@ -37,11 +37,7 @@ def round_ticks(low: float, high: float, most: int) -> list[float]:
 
 
 def draw_panels(panels: Mapping[str, np.ndarray], path: str | Path, *, columns: int = 4) -> Path:
-    """Write pictures `[H, W, 3]` uint8 under their titles, in rows of `columns`.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write pictures `[H, W, 3]` uint8 under their titles, in rows of `columns`."""
     rows = math.ceil(len(panels) / columns)
     height, width = next(iter(panels.values())).shape[:2]
     figure = new_figure(13, (13 / columns * height / width + 0.4) * rows)

@@ -26,37 +26,27 @@ OVERVIEW_WIDTH = 1280  # pixels
 
 
 def report(folder: str | Path) -> Path:
-    """Write `report.html` of a run, or of a scan and the runs in it; of what is not finished, what there is.
+    """Write and return `report.html` of a run, or of a scan and the runs in it; of what is not finished, what there is.
 
     What it shows is read from the folder's files. Pictures of held-out views are those that were kept when the run was
     scored; where a finished run has none, they are rendered now. The mesh is that of `RUN/mesh.ply`.
-
-    Args:
-        folder: What `gsjax train`, `gsjax refine` or `gsjax scan` made.
-
-    Returns:
-        The file.
 
     Raises:
         InputError: It is no such folder, a file in it is damaged, or the report cannot be written.
     """
     folder = Path(folder)
     if (folder / "manifest.json").exists() or not (folder / "report.json").exists():
-        chapter = _chapter(folder)
-        return write_page(folder / FILE, "report.html", name=folder.resolve().name, stages=chapter["stages"],
-            overview=None, chapters=[chapter])  # fmt: skip
-    record = json_files.read(folder / "report.json", {"stages?": {str: {}}})
-    if "stages" not in record:
-        raise InputError(f"{folder}: is the folder of neither a run nor a scan")
-    chapters = [_chapter(folder / part) for part in ("run", "refined") if (folder / part / "manifest.json").exists()]
-    return write_page(
-        folder / FILE,
-        "report.html",
-        name=folder.resolve().name,
-        stages=run_facts.stage_rows(record["stages"]),
-        overview=_overview(folder / "overview.png"),
-        chapters=chapters,
-    )
+        chapters, overview = [_chapter(folder)], None
+        stages = chapters[0]["stages"]
+    else:
+        record = json_files.read(folder / "report.json", {"stages?": {str: {}}})
+        if "stages" not in record:
+            raise InputError(f"{folder}: is the folder of neither a run nor a scan")
+        parts = [folder / name for name in ("run", "refined")]
+        chapters = [_chapter(part) for part in parts if (part / "manifest.json").exists()]
+        stages, overview = run_facts.stage_rows(record["stages"]), _overview(folder / "overview.png")
+    name, file = folder.resolve().name, folder / FILE
+    return write_page(file, "report.html", name=name, stages=stages, overview=overview, chapters=chapters)
 
 
 def report_if_installed(folder: str | Path) -> None:
@@ -68,29 +58,15 @@ def report_if_installed(folder: str | Path) -> None:
 
 
 def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Do the work of a stage on a run, and record it in the run.
+    """Do the work of a stage on a run, record the figures that it returns in the run, and return them.
 
-    Its figures, `seconds` and `peak_gib` go to `stages` in RUN/manifest.json, and the report is made anew. Where that
-    cannot be written, a line says so: the work is done.
-
-    Args:
-        run: A run folder; of anything else nothing is noted.
-        stage: Its name.
-        work: Returns the figures.
-
-    Returns:
-        The figures.
-
-    Raises:
-        InputError: As `work` does.
+    They, `seconds` and `peak_gib` go to `stages` in RUN/manifest.json, and the report is made anew. Where that cannot
+    be written, a line says so: the work is done. Of anything but a run folder nothing is noted.
     """
     restart_peak_memory()
     started = time.perf_counter()
     figures = work()
-    spent = {
-        "seconds": round(time.perf_counter() - started, 1),
-        "peak_gib": round(peak_memory() / 2**30, 2),
-    }
+    spent = {"seconds": round(time.perf_counter() - started, 1), "peak_gib": round(peak_memory() / 2**30, 2)}
     if (Path(run) / "manifest.json").is_file():
         try:
             before = json_files.read(Path(run) / "manifest.json").get("stages", {})
@@ -101,15 +77,11 @@ def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> di
     return figures
 
 
-def write_page(path: Path, template: str, **content: Any) -> Path:
-    """Fills a template of `gsjax/report/templates`; whatever it is given is escaped.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+def write_page(path: Path, template: str, *, package: str = "gsjax.report", **content: Any) -> Path:
+    """Fills a template in `templates` of a package, and writes the file; whatever it is given is escaped."""
     jinja2 = require("jinja2")
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("gsjax.report"),
+        loader=jinja2.PackageLoader(package),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -126,7 +98,6 @@ def write_page(path: Path, template: str, **content: Any) -> Path:
 
 
 def _chapter(folder: Path) -> dict[str, Any]:
-    """Everything about one run folder, for the template."""
     run = RunFacts.open(folder)
     return {
         "name": folder.resolve().name,

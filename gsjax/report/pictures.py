@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax.meshing.pictures import Shading, headlight, render_mesh
+from gsjax.meshing.ray_queries import Cast
 from gsjax.normals.from_depth import depth_normals
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
@@ -40,6 +41,6 @@ def surface_picture(depth: np.ndarray, camera: Camera) -> np.ndarray:
     return normal_picture(np.asarray(depth_normals(jnp.asarray(depth), camera)))
 
 
-def mesh_picture(mesh: Mesh, camera: Camera, shading: Shading = headlight) -> np.ndarray:
+def mesh_picture(mesh: Mesh, camera: Camera, shading: Shading = headlight, cast: Cast | None = None) -> np.ndarray:
     """`[H, W, 3]` uint8: a mesh as `camera` sees it."""
-    return render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading)
+    return render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading, cast=cast)

@@ -1,9 +1,7 @@
 """Plain-text tables of results, aligned for a terminal."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any
-
-import numpy as np
 
 FLOOR = "true mesh (floor)"
 """The row below which no distance to the truth can fall: what the true mesh itself scores."""
@@ -19,15 +17,6 @@ def compare(variants: Mapping[str, Mapping[str, Any]]) -> str:
     names = list(dict.fromkeys(name for values in variants.values() for name in values))
     rows = [[variant, *(format_value(values.get(name)) for name in names)] for variant, values in variants.items()]
     return align_columns([["", *names], *rows], right=range(1, len(names) + 1))
-
-
-def spread(rows: Sequence[Mapping[str, float]]) -> dict[str, str]:
-    """Mean of every quantity over rows that all have it, a row a seed; where they are several also least and most."""
-    columns = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
-    texts = {
-        name: [format_value(float(v)) for v in (each.mean(), each.min(), each.max())] for name, each in columns.items()
-    }
-    return {name: f"{mean} [{least} {most}]" if len(rows) > 1 else mean for name, (mean, least, most) in texts.items()}
 
 
 def align_columns(rows: list[list[str]], right: Collection[int] = ()) -> str:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from gsjax import runs
@@ -12,13 +11,13 @@ from gsjax.effects.sky import Masks, tinted
 from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg_bytes, resize
 from gsjax.meshing.export import read_mesh
-from gsjax.meshing.pictures import headlight, render_mesh, vertex_colors
+from gsjax.meshing.pictures import headlight, vertex_colors
 from gsjax.meshing.ray_queries import ray_caster
-from gsjax.normals.from_depth import depth_normals
 from gsjax.rendering.gallery import Picture
-from gsjax.report.pictures import normal_picture
+from gsjax.report.pictures import mesh_picture, surface_picture
 from gsjax.runs.records import read_views
 from gsjax.runs.result import frame_camera, recorded_camera
+from gsjax.runs.viewpoints import evenly_spread
 from gsjax.scene import Frame
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
@@ -33,27 +32,20 @@ def report_views(records: Sequence[dict[str, Any]]) -> list[int]:
     """Which views of `cameras.json` a report shows: held-out ones, evenly spread; of none, any."""
     held_out = [index for index, record in enumerate(records) if record["held_out"]]
     some = held_out or range(len(records))
-    places = np.linspace(0, len(some) - 1, min(MOST_VIEWS, len(some))).round().astype(int)
-    return [some[place] for place in np.unique(places)]
+    return [some[place] for place in evenly_spread(len(some), MOST_VIEWS)]
 
 
 def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
-    """An observer of scored frames, which stores pictures of those that the report shows.
-
-    Args:
-        run: Run folder with its `cameras.json`.
-    """
+    """An observer of the scored frames of a run with its `cameras.json`; it stores pictures of those in the report."""
     records = read_views(run)
     places = {records[index]["name"]: index for index in report_views(records)}
 
     def keep(frame: Frame, target: np.ndarray, picture: Picture) -> None:
         if frame.name not in places:
             return
-        normals = np.asarray(depth_normals(jnp.asarray(picture.depth), frame_camera(frame)))
-        images = to_bytes(target), to_bytes(picture.colors), normal_picture(normals)
-        for kind, image in zip(KINDS, images, strict=True):
-            with atomic_path(_file(run, places[frame.name], kind)) as temporary:
-                temporary.write_bytes(jpeg_bytes(resize(image, *_reduced(frame.width, frame.height))))
+        normals = surface_picture(picture.depth, frame_camera(frame))
+        for kind, image in zip(KINDS, (to_bytes(target), to_bytes(picture.colors), normals), strict=True):
+            _keep(run, places[frame.name], kind, image)
 
     return keep
 
@@ -61,16 +53,11 @@ def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
 def keep_skies(run: Path, frames: Sequence[Frame], skies: Masks) -> None:
     """Keeps the photos of those views that the report shows with their sky in magenta; none where there is no sky.
 
-    Args:
-        run: Run folder with its `cameras.json`.
-        frames: All views, in its order.
-        skies: Where they show sky.
+    The frames are in the order of `cameras.json`.
     """
     for index in report_views(read_views(run)) if skies else ():
         frame = frames[index]
-        image = tinted(frame.pixels().image, skies.get(frame.name))
-        with atomic_path(_file(run, index, SKY)) as temporary:
-            temporary.write_bytes(jpeg_bytes(resize(image, *_reduced(frame.width, frame.height))))
+        _keep(run, index, SKY, tinted(frame.pixels().image, skies.get(frame.name)))
 
 
 def stored_pictures(run: Path, index: int) -> dict[str, bytes]:
@@ -80,11 +67,7 @@ def stored_pictures(run: Path, index: int) -> dict[str, bytes]:
 
 
 def mesh_pictures(run: Path, records: Sequence[dict[str, Any]]) -> list[dict[str, bytes]]:
-    """JPEGs of `RUN/mesh.ply` from every one of these views, its shape and its colours; empty ones without a mesh.
-
-    Raises:
-        InputError: The mesh cannot be read.
-    """
+    """JPEGs of `RUN/mesh.ply` from each of these views, its shape and its colours; empty ones without a mesh."""
     if not (run / "mesh.ply").exists():
         return [{} for _ in records]
     similarity = runs.read_similarity(run)
@@ -94,14 +77,15 @@ def mesh_pictures(run: Path, records: Sequence[dict[str, Any]]) -> list[dict[str
     def pictures_of(record: dict[str, Any]) -> dict[str, bytes]:
         camera = _small_camera(recorded_camera(record, similarity))
         shadings = {"mesh": headlight, "mesh colours": vertex_colors}
-        return {
-            kind: jpeg_bytes(
-                render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading, cast=cast)
-            )
-            for kind, shading in shadings.items()
-        }
+        return {kind: jpeg_bytes(mesh_picture(mesh, camera, shading, cast)) for kind, shading in shadings.items()}
 
     return [pictures_of(record) for record in records]
+
+
+def _keep(run: Path, index: int, kind: str, image: np.ndarray) -> None:
+    height, width = image.shape[:2]
+    with atomic_path(_file(run, index, kind)) as temporary:
+        temporary.write_bytes(jpeg_bytes(resize(image, *_reduced(width, height))))
 
 
 def _file(run: Path, index: int, kind: str) -> Path:
@@ -114,7 +98,6 @@ def _reduced(width: int, height: int) -> tuple[int, int]:
 
 
 def _small_camera(camera: Camera) -> Camera:
-    """A camera at the size of the report's pictures."""
     width, height = _reduced(camera.width, camera.height)
     scale = np.array([[width / camera.width], [height / camera.height], [1.0]])
     return Camera(camera.viewmat, scale * np.asarray(camera.K), width, height)

@@ -20,32 +20,23 @@ from gsjax.io.files import atomic_path
 def save(path: str | Path, tree: Any) -> None:
     """Writes every leaf of `tree`: arrays of numbers or booleans, raw uint32 random keys, numpy or Python scalars.
 
-    Args:
-        path: Target, ending in `.npz`; replaced as a whole or not at all.
-        tree: Any pytree, optimiser states included. `None` and static fields are structure and are not stored.
-
-    Raises:
-        InputError: The file cannot be written (disk full, read-only).
+    The path ends in `.npz`. `None` and static fields are structure and are not stored.
     """
     leaves = {name: np.asarray(leaf) for name, leaf in _named_leaves(tree)}
     with atomic_path(path) as temporary:
         np.savez(temporary, allow_pickle=False, **leaves)
 
 
-def load(path: str | Path, like: Any | Callable[[dict[str, np.ndarray]], Any]) -> Any:
-    """The tree of `like`'s structure with the stored leaves: numpy where `like` has numpy, else on jax's device.
+def load(path: str | Path, template: Callable[[dict[str, np.ndarray]], Any]) -> Any:
+    """The tree of a template's structure with the stored leaves: numpy where it has numpy, else on jax's device.
 
-    Args:
-        path: A file that `save` wrote.
-        like: Pytree of arrays or `jax.ShapeDtypeStruct`; only its structure, shapes and dtypes are read. Or what makes
-            one of the stored arrays, by their path in the tree: where a size is in the file.
+    The template is made of the stored arrays by their paths; only its structure, shapes and dtypes are read.
 
     Raises:
-        InputError: The file is absent, truncated or damaged, or its first difference from `like`.
+        InputError: The file is absent, truncated or damaged, or its first difference from the template.
     """
     stored = load_arrays(path)
-    if callable(like):
-        like = like(stored)
+    like = template(stored)
     leaves_by_name = _named_leaves(like)
     surplus = stored.keys() - {name for name, _ in leaves_by_name}
     if surplus:
@@ -55,15 +46,9 @@ def load(path: str | Path, like: Any | Callable[[dict[str, np.ndarray]], Any]) -
 
 
 def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """All stored arrays by their path in the tree.
-
-    Raises:
-        InputError: The file is absent, truncated or damaged.
-    """
+    """All stored arrays by their path in the tree; InputError of an absent, truncated or damaged file."""
     if not Path(path).is_file():
         raise InputError(f"{path}: no such checkpoint")
-    if Path(path).suffix != ".npz":
-        raise InputError(f"{path}: truncated or damaged checkpoint (its name does not end in .npz)")
     try:
         return read_arrays(Path(path))
     except InputError as error:

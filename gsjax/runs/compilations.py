@@ -18,16 +18,13 @@ class Compilations:
     """Collects compilations of this process while its context is open."""
 
     def __init__(self):
-        """Nothing seen yet."""
         self._records: list[dict[str, Any]] = []
 
     def __enter__(self) -> Self:
-        """Begin to listen."""
         monitoring.register_event_duration_secs_listener(self._note)
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Listen no more."""
         monitoring.unregister_event_duration_listener(self._note)
 
     def drain(self) -> list[dict[str, Any]]:

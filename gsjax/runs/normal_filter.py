@@ -46,12 +46,9 @@ def filter_normals(
         gaussians: As the surface phase begins.
         frames: The photos.
         maps: `[H, W, 3]` int8 a photo, 127 times the unit normal.
-        depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
+        depth_mode: See `gsjax.rendering`.
         keep: Where the maps that are returned are to lie.
         notify: Receives the verdict as one line.
-
-    Raises:
-        InputError: The files are damaged, or cannot be written.
     """
     file = folder / CONFIDENCE
     if not file.is_file():
@@ -59,8 +56,7 @@ def filter_normals(
         pictures = gallery.pictures(gaussians, cameras, BACKGROUND_COLORS["black"], depth_mode)
         triples = zip(maps, pictures, frames, strict=True)
         views = [thinned_view(normals, picture.depth, frame.viewmat, frame.K) for normals, picture, frame in triples]
-        evidence, verdict = _evidence(views)
-        verdict = with_names(verdict, frames)
+        evidence, verdict = _evidence(views, frames)
         json_files.write(folder / VERDICT, record(evidence, verdict, frames))
         with atomic_path(file) as temporary:
             confidences = {str(index): np.rint(255 * one.confidence) for index, one in enumerate(evidence)}
@@ -76,10 +72,7 @@ def filter_normals(
 def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | None]:
     """Read how many degrees each photo's normals are from its neighbours', as `filter_normals` stored it.
 
-    None where it could not judge, or where the file is of an earlier version.
-
-    Raises:
-        InputError: The file is missing or damaged, or lacks a photo.
+    None where it could not judge, or where the file is of an earlier version; InputError where a photo is missing.
     """
     shape = {"photos": {frame.name: {"apart?": NUMBER} for frame in frames}}
     photos = json_files.read(folder / VERDICT, shape)["photos"]
@@ -87,18 +80,14 @@ def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | 
 
 
 def score_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
-    """Judge a folder of maps by the depth of planes through the tracks' points, and return the `record`.
-
-    Raises:
-        InputError: A map is missing or damaged, or the tracks cannot be read.
-    """
+    """Judge a folder of maps by the depth of planes through the tracks' points, and return the `record`."""
     tracks, readers = tracks_by_name(scene), normal_maps(folder, scene.frames)
     views = [
         _tracked_view(frame, readers[frame.name](), scene.points, tracks.get(frame.name))
         for frame in tqdm(scene.frames, desc=Path(folder).name, unit="map", leave=False)
     ]
-    evidence, verdict = _evidence(views)
-    return record(evidence, with_names(verdict, scene.frames), scene.frames)
+    evidence, verdict = _evidence(views, scene.frames)
+    return record(evidence, verdict, scene.frames)
 
 
 def record(evidence: Sequence[PhotoEvidence], verdict: Verdict, frames: Sequence[Frame]) -> dict[str, Any]:
@@ -130,17 +119,15 @@ def verdict_line(verdict: Verdict) -> str:
     )
 
 
-def with_names(verdict: Verdict, frames: Sequence[Frame]) -> Verdict:
-    """Add the names of the first rejected photos to the note of a verdict."""
-    if not verdict.rejected:
-        return verdict
-    return verdict._replace(note=f"{verdict.note}: {first_names([frames[index].name for index in verdict.rejected])}")
-
-
-def _evidence(views: Sequence[View]) -> tuple[list[PhotoEvidence], Verdict]:
-    return judge_maps(
+def _evidence(views: Sequence[View], frames: Sequence[Frame]) -> tuple[list[PhotoEvidence], Verdict]:
+    """The evidence of each photo, and the verdict; its note names the first rejected photos."""
+    evidence, verdict = judge_maps(
         views, progress=lambda numbers: tqdm(numbers, desc="filter of normals", unit="photo", leave=False)
     )
+    if verdict.rejected:
+        names = first_names([frames[index].name for index in verdict.rejected])
+        verdict = verdict._replace(note=f"{verdict.note}: {names}")
+    return evidence, verdict
 
 
 def _tracked_view(

@@ -4,7 +4,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,9 +19,10 @@ from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.consistency import share_compared
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.rendering import DepthReading, gallery
-from gsjax.runs.folder import update_manifest
+from gsjax.runs import update_manifest
 from gsjax.runs.normal_filter import filter_normals, stored_disagreements
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
+from gsjax.runs.viewpoints import evenly_spread
 from gsjax.scene import Frame, Keep, in_memory
 from gsjax.scene.cameras import Camera
 from gsjax.stereo import witnessed_normals
@@ -30,8 +30,6 @@ from gsjax.stereo import witnessed_normals
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
 VIEWS_FOR_AXES = 50  # as many as are compared with their maps, 4,000 pixels each
 VIEWS_FOR_NOISE = 4
-
-T = TypeVar("T")
 
 
 class NormalSource:
@@ -125,9 +123,6 @@ class NormalSource:
 
         Disagreement of self-supervised normals is disagreement about the surface. For maps of a network, and without
         the filter, all steps compare.
-
-        Raises:
-            InputError: The verdict is missing or damaged.
         """
         if not self.gated or self.given is not None:
             return np.ones(len(frames))
@@ -149,7 +144,7 @@ class NormalSource:
 
     def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
         assert self.given is not None
-        signs = self._detected(gaussians, _spread(frames, VIEWS_FOR_AXES)) if self.signs is None else self.signs
+        signs = self._detected(gaussians, frames) if self.signs is None else self.signs
         for frame in missing:
             yield apply_axes(self.given[frame.name](), signs)
 
@@ -159,10 +154,9 @@ class NormalSource:
         One line reports them and the comparison.
         """
         assert self.given is not None
-        maps = (self.given[frame.name]() for frame in frames)
-        references = (
-            np.asarray(depth_normals(depth, camera)) for depth, _, camera in self._rendered(gaussians, frames)
-        )
+        some = [frames[index] for index in evenly_spread(len(frames), VIEWS_FOR_AXES)]
+        maps = (self.given[frame.name]() for frame in some)
+        references = (np.asarray(depth_normals(depth, camera)) for depth, _, camera in self._rendered(gaussians, some))
         signs, score, margin = detect_axes(maps, references)
         measured = f"mean cosine {score:.3f} against the rendered depth, next best {margin:.3f} lower"
         clear = score >= CLEAR_SCORE and margin >= CLEAR_MARGIN
@@ -197,7 +191,8 @@ def note_normals(run: str | Path, line: str) -> None:
 
 def reduction_for(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> int:
     """The `reduction` of `smoothed_depth_normals` for Gaussians, by the noise of some views."""
-    return chosen_reduction(_views(gaussians, _spread(cameras, VIEWS_FOR_NOISE), depth_mode))
+    some = [cameras[index] for index in evenly_spread(len(cameras), VIEWS_FOR_NOISE)]
+    return chosen_reduction(_views(gaussians, some, depth_mode))
 
 
 def _views(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> Iterator[tuple]:
@@ -213,18 +208,9 @@ def write_map(file: Path, normals: np.ndarray) -> None:
 
 
 def read_map(file: Path, frame: Frame) -> np.ndarray:
-    """`[H, W, 3]` int8, 127 times the normals that `write_map` was given.
-
-    Raises:
-        InputError: The file is damaged or not of the frame's size.
-    """
+    """`[H, W, 3]` int8, 127 times what `write_map` was given; InputError of a file that is not of the frame's size."""
     pixels, _ = read_image(file)
     if pixels.shape[:2] != (frame.height, frame.width):
         size = f"{pixels.shape[1]}x{pixels.shape[0]}"
         raise InputError(f"{file}: normal map is {size}, its frame {frame.width}x{frame.height}")
     return (pixels ^ np.uint8(128)).view(np.int8)  # value - 128, without leaving 8 bits
-
-
-def _spread(items: Sequence[T], count: int) -> list[T]:
-    """No more than `count` of them, evenly spread."""
-    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int))]

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from gsjax.errors import InputError
-from gsjax.runs.folder import is_run
+from gsjax.runs import is_run
 from gsjax.runs.run import Run
 
 OF_RUN = {
@@ -17,15 +17,10 @@ OF_DATA_SET = {".bin", ".txt", ".npz", ".npy", ".ply"}  # suffixes, and transfor
 
 
 def require_apart(out: str | Path, *inputs: str | Path | None) -> None:
-    """Refuses an output that is an input, or a part of one.
+    """Refuses an output that is an input, or a part of one, with an InputError that names both.
 
-    Args:
-        out: The file or folder that is to be written.
-        inputs: Files; run folders, which include the run's files and its data set, but no mesh that was made of it; and
-            data sets, which include every file that a reader may read. None: not given.
-
-    Raises:
-        InputError: It is; the message names both.
+    Inputs are files; run folders, which include the run's files and its data set, but no mesh that was made of it; and
+    data sets, which include every file that a reader may read. None: not given.
     """
     place = Path(os.path.realpath(out))
     for source in inputs:

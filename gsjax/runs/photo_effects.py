@@ -11,7 +11,7 @@ from gsjax.effects.appearance import Appearance, as_near_photos
 from gsjax.effects.poses import Move
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.runs.folder import read_similarity
+from gsjax.runs import read_similarity
 from gsjax.scene import Frame
 from gsjax.scene.similarity import Similarity
 
@@ -31,12 +31,8 @@ class PhotoEffects(NamedTuple):
 
     appearances: Mapping[str, Appearance] = MappingProxyType({})
     moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
-    background: np.ndarray | None = (
-        None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.rendering.backdrop`
-    )
-    near_appearances: Mapping[str, Appearance] = MappingProxyType(
-        {}
-    )  # held-out photos, exposed as those taken near them
+    background: np.ndarray | None = None  # [(L + 1)^2, 3] SH coefficients, see `gsjax.rendering.backdrop`
+    near_appearances: Mapping[str, Appearance] = MappingProxyType({})  # of held-out photos, as of those near them
 
     def with_near_appearances(self, frames: Sequence[Frame]) -> "PhotoEffects":
         """Add appearances of the held-out photos, from the photos taken near them, where there are appearances."""
@@ -49,11 +45,7 @@ def with_moved_cameras(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> 
 
 
 def write_photo_effects(run: Path, effects: PhotoEffects) -> None:
-    """`effects.json`, `poses.json` and `background.json`, those of estimates that there are.
-
-    Raises:
-        InputError: A file cannot be written.
-    """
+    """`effects.json`, `poses.json` and `background.json`, those of estimates that there are."""
     if effects.appearances:
         json_files.write(run / FILE, {"photos": {name: look._asdict() for name, look in effects.appearances.items()}})
     if effects.moves:
@@ -65,11 +57,7 @@ def write_photo_effects(run: Path, effects: PhotoEffects) -> None:
 
 
 def read_photo_effects(run: Path) -> PhotoEffects:
-    """Read the estimates of a run; empty where it simulated nothing.
-
-    Raises:
-        InputError: A file is damaged.
-    """
+    """Read the estimates of a run, empty where it simulated nothing; InputError of a damaged file."""
     file = run / BACKGROUND
     background = np.asarray(json_files.read(file, {"sh": [[float, 3]]})["sh"], np.float32) if file.exists() else None
     if background is not None and len(background) not in COUNTS:

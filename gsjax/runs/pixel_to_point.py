@@ -62,11 +62,7 @@ def points_of_scene(scene: Scene) -> PointAt:
 
 
 def points_of_run(folder: Path) -> PointAt:
-    """Points on the rays of pixels, as far away as the run's Gaussians show a surface.
-
-    Raises:
-        InputError: It is no finished run.
-    """
+    """Points on the rays of pixels, as far away as the Gaussians of a finished run show a surface."""
     result, run = open_result(folder), Run.open(folder)
     cameras = dict(zip(result.names, result.cameras, strict=True))
     try:

@@ -21,9 +21,7 @@ T = TypeVar("T")
 LOST = re.compile(r"Gloo|NCCL|heartbeat|coordination|UNAVAILABLE", re.IGNORECASE)
 """What the runtime says when another process is gone."""
 MOST_PROCESSES = 2**16
-PATIENCE = (
-    600  # seconds without a sign of life; jax then ends the process, so what exchanges with it is to find out first
-)
+PATIENCE = 600  # seconds without a sign of life, after which jax ends the process
 
 
 @contextmanager

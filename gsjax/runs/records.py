@@ -22,9 +22,10 @@ SETTINGS = {
     "effects?": {"names?": str},
 }
 """Of `config.json`: what later stages read; folders of earlier versions lack some."""
-_FIGURES = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "floaters",
-            "seen_share", "peak_gib")  # fmt: skip
-_STAGES = {str: {f"{name}?": NUMBER for name in ("seconds", *_FIGURES)}}
+FIGURES = ("registered", "points", "psnr", "psnr_near_gains", "ssim", "gaussians", "vertices", "faces", "floaters",
+           "seen_share")  # fmt: skip
+"""What comes of a stage, in the order of a report."""
+_STAGES = {str: {f"{name}?": NUMBER for name in ("seconds", "peak_gib", *FIGURES)}}
 _EVIDENCE = {"on": bool, "evidence": NUMBER, "noise": NUMBER, "threshold": NUMBER, "unit": str, "note": str}
 _VALIDATED = {"gain": float, "error": float}
 _SPARSE_VIEWS = {"photos": int, "degrees": NUMBER, "gain": NUMBER, "error": NUMBER, "held_back": bool,
@@ -38,7 +39,7 @@ MANIFEST = {
     "sparse_views?": _SPARSE_VIEWS,
     "handed_in?": {"terms": [str], "effects": [str], "densification": bool},
     "split?": splits.SHAPE,
-    **{f"{name}?": NUMBER for name in ("steps", "train_seconds", "psnr_near_gains", *_FIGURES)},
+    **{f"{name}?": NUMBER for name in ("steps", "train_seconds", "peak_gib", *FIGURES)},
 }
 WHOLE_MANIFEST = {**MANIFEST, "scene": str, "command": str, "created": str, "status": str,
                   "versions": {str: str}, "machine": {"cpu": (None, str)}}  # fmt: skip

@@ -8,7 +8,7 @@ from gsjax.io import json_files
 from gsjax.io.locks import lock_folder
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
-from gsjax.runs.folder import update_manifest
+from gsjax.runs import update_manifest
 from gsjax.runs.run import Run
 
 
@@ -16,10 +16,6 @@ def relocate_scene(folder: str | Path, scene: str | Path) -> None:
     """Record in a run folder that its data set is in another place now.
 
     Paths inside the data set that its settings and its plan name move with it.
-
-    Args:
-        folder: The run.
-        scene: Where the data set is.
 
     Raises:
         InputError: It is no run folder, another process is at work in it, or `scene` is no data set or has no photo of

@@ -56,9 +56,7 @@ class Result:
     cameras: tuple[Camera, ...]
     names: tuple[str, ...]
     held_out: tuple[bool, ...]
-    valid: tuple[
-        Callable[[], np.ndarray | None], ...
-    ]  # reads [H, W] bool, where the photo may be used; None: all of it
+    valid: tuple[Callable[[], np.ndarray | None], ...]  # reads [H, W] bool, where the photo counts; None: everywhere
     background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.rendering.backdrop`
     depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.rendering`
     similarity: Similarity = IDENTITY  # to Gaussians and cameras from the coordinates of the world
@@ -69,12 +67,8 @@ def write_views(run: Path, frames: tuple[Frame, ...], skies: Mapping[str, np.nda
     """`cameras.json`: one record a view, world to camera, OpenCV axes, pixels; and the masks of the training views.
 
     A mask (`masks/0007.png`, 255 where the photo may be used) is written only for a view that has one, and its record
-    names it: later stages need no photo to know what must not be seen. Only masked frames are read, one by one.
-
-    Args:
-        run: Run folder.
-        frames: All views, in the order of the data set; they are written in its coordinates.
-        skies: By name `[H, W]` bool, where a view shows sky: no surface, which its mask leaves out.
+    names it: later stages need no photo to know what must not be seen. Only masked frames are read, one by one. Masks
+    leave out skies, by name `[H, W]` bool. Views are in the order and the coordinates of the data set.
 
     Raises:
         InputError: A file cannot be written, or a frame not be read.
@@ -159,11 +153,8 @@ def training_pictures(
 ) -> tuple[list[Camera], Iterator[Picture]]:
     """Training cameras, and what `gaussians` show there: nothing where photos are masked.
 
-    Args:
-        result: Whose training views.
-        gaussians: Its own, or what was made of them.
-        background: Under the pictures, see `gsjax.rendering.backdrop`.
-        with_owners: Whether the pictures hold the Gaussian that each pixel hits, which the level set requires.
+    The background is that of `gsjax.rendering.backdrop`. With owners the pictures hold the Gaussian that each pixel
+    hits, which the level set requires.
 
     Raises:
         InputError: There is no training view; or, as the pictures are drawn, a mask cannot be used.
@@ -181,12 +172,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
     """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
 
     Cameras that training moved are where it left them; photos that it left out are left out. A line names photos that
-    the data set has no more.
-
-    Args:
-        folder: Of the run.
-        zoom: Photos are so many times larger than in training.
-        scene: Where the data set is now. None: where it was.
+    the data set has no more. Photos are `zoom` times larger than in training; `scene` is where the data set is now.
 
     Raises:
         InputError: It is no run folder, its data set cannot be used any more, or its photos are too small for `zoom`.

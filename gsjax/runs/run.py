@@ -26,11 +26,7 @@ class Run:
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """The run in a folder.
-
-        Raises:
-            InputError: It is no run folder.
-        """
+        """The run in a folder; InputError where there is none."""
         folder = Path(folder)
         if not folder.exists():
             raise InputError(f"{folder}: no such folder")

@@ -61,11 +61,7 @@ def missing_photos(frames: Iterable[Frame], split: Split) -> list[str]:
 
 
 def require_photos_of_effects(scene: Scene, split: Split, manifest: Mapping[str, Any], *, run: Path) -> None:
-    """Refuse to resume a run whose checkpoint has rows for photos that the scene lacks.
-
-    Raises:
-        InputError: A photo is missing that the run trained on with an effect of `PER_PHOTO`.
-    """
+    """InputError where the scene lacks a photo of which the run's checkpoint has a row, see `PER_PHOTO`."""
     simulated = [name for name in manifest.get("effects", {}).get("simulated", ()) if name in PER_PHOTO]
     absent = [name for name in missing_photos(scene.frames, split) if not split[name]]
     if simulated and absent:

@@ -108,10 +108,7 @@ def camera_circle_of_mesh(mesh: Mesh, up: np.ndarray) -> list[Camera]:
     """A circle of square views, 20 degrees above the middle of a mesh, each of which holds the whole mesh.
 
     The circle ignores the farthest hundredth of the vertices on every side, so stray vertices do not shrink the rest.
-
-    Args:
-        mesh: In the middle of every view.
-        up: `[3]` the world's direction that is up in the pictures, any length.
+    `up`, `[3]` of any length, is up in the pictures.
     """
     low, high = np.quantile(mesh.vertices[np.unique(mesh.faces)].astype(np.float64), [0.01, 0.99], axis=0)
     size = max(float(np.linalg.norm(high - low)), 1e-12)
@@ -130,6 +127,11 @@ def _circle(middle: np.ndarray, up: np.ndarray, first: np.ndarray, radius: float
     for angle in 2 * np.pi * np.arange(TURNTABLE_VIEWS) / TURNTABLE_VIEWS:
         outward = np.cos(angle) * first + np.sin(angle) * second
         yield look_at(middle + radius * outward + height * up, middle, up)
+
+
+def evenly_spread(count: int, most: int) -> list[int]:
+    """Indices of at most so many of `count` things, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
 
 
 def mean_up(cameras: Sequence[Camera]) -> np.ndarray:

@@ -51,14 +51,10 @@ class Page:
         news: Callable[[], News | None] | None = None,
         share: float = 1.0,
     ):
-        """Not served yet.
+        """Not served yet; port 0 takes a free one.
 
-        Args:
-            viewed: What to show.
-            host: Address to listen on.
-            port: 0 takes a free one.
-            news: Asked now and then, while somebody looks, for Gaussians to show instead.
-            share: Of the time since `work` began, what answering may take.
+        While users look, `news` returns Gaussians to show instead. `share` is of the time since `work` began, what
+        answering may take.
         """
         self.viewed, self.queue = viewed, PictureQueue()
         self._host, self._port = host, port
@@ -70,11 +66,7 @@ class Page:
         self.switches: dict[str, Any] = {}  # by their labels, once it is served: each has a `value`
 
     def __enter__(self) -> Self:
-        """Serve.
-
-        Raises:
-            InputError: The port is in use, or the host is none of this machine's.
-        """
+        """Serve; InputError where the port is in use, or the host is none of this machine's."""
         check_port(self._host, self._port)
         with _silent(), guarded(self._host):
             label = f"gsjax: {self.viewed.name}"
@@ -88,7 +80,6 @@ class Page:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Serve no more."""
         self.close()
 
     @property

@@ -24,11 +24,9 @@ class PageCamera(NamedTuple):
 
 
 def picture_size(page: PageCamera, longest: int) -> tuple[int, int]:
-    """Width and height of the picture for a page: of the aspect in `ASPECTS` that is nearest to the page's.
+    """Width and height, about `longest` pixels at most, of the aspect in `ASPECTS` that is nearest to the page's.
 
-    Args:
-        page: Its width and height count; a page without an area is square.
-        longest: About how many pixels the longer side has.
+    A page without an area is square.
     """
     page_aspect = page.width / page.height if page.width > 0 and page.height > 0 else 1.0
     aspect = ASPECTS[np.argmin(np.abs(np.log(ASPECTS) - np.log(page_aspect)))]
@@ -40,10 +38,6 @@ def camera_of(page: PageCamera, size: tuple[int, int]) -> Camera | None:
     """The pinhole camera whose picture of `size`, stretched over the page, is what the page's camera sees.
 
     Where the two aspects differ, so do the focal lengths. Fields of view are brought into `FOVS`.
-
-    Args:
-        page: The browser's camera.
-        size: Width and height of the picture, pixels.
 
     Returns:
         A numpy camera; None where the page has no camera: numbers that are not finite, or no rotation.

@@ -34,14 +34,13 @@ class PictureQueue:
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
-        """Without browsers."""
         self._clock = clock
         self._browsers: dict[Hashable, _Browser] = {}
         self._changed = threading.Condition()
-        self._closed = self._woken = self._idle = False
+        self.is_closed = self._woken = False
+        self.is_idle = False  # all pictures are drawn, and none is to come without a move
 
     def __len__(self) -> int:
-        """Number of browsers."""
         with self._changed:
             return len(self._browsers)
 
@@ -74,21 +73,17 @@ class PictureQueue:
     def close(self) -> None:
         """No more requests."""
         with self._changed:
-            self._closed = True
+            self.is_closed = True
             self._changed.notify()
 
     def take(self, timeout: float | None = None) -> Request | None:
         """Waits for the next request: coarse pictures first, the browser that waits longest first.
 
-        Args:
-            timeout: Seconds; None: for ever.
-
-        Returns:
-            The request; None after the timeout, when woken, or once the queue is closed.
+        None after the timeout in seconds, when woken, or once the queue is closed.
         """
         until = None if timeout is None else self._clock() + timeout
         with self._changed:
-            while not self._closed:
+            while not self.is_closed:
                 now = self._clock()
                 request, rests_in = self._next(now)
                 if request is not None:
@@ -100,20 +95,10 @@ class PictureQueue:
                 if left is not None and left <= 0:
                     return None
                 waits = [seconds for seconds in (left, rests_in) if seconds is not None]
-                self._idle = rests_in is None
+                self.is_idle = rests_in is None
                 self._changed.wait(min(waits, default=None))
-                self._idle = False
+                self.is_idle = False
         return None
-
-    @property
-    def is_closed(self) -> bool:
-        """Whether `close` was called."""
-        return self._closed
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether all pictures are drawn: somebody waits for requests, and none is to come without a move."""
-        return self._idle
 
     def _next(self, now: float) -> tuple[Request | None, float | None]:
         """The request that is due, or after how many seconds the next camera rests."""

@@ -21,17 +21,9 @@ def draw_picture(
     background: np.ndarray,
     depth_mode: DepthReading = "plane",
 ) -> np.ndarray:
-    """Draw one picture.
+    """Draw `[H, W, 3]` uint8 of a kind in `KINDS`, over a background of `gsjax.rendering.backdrop`.
 
-    Args:
-        kind: One of `KINDS`.
-        gaussians: jax or numpy; another number of them is another program, and so is another size of the picture.
-        camera: The view.
-        background: See `gsjax.rendering.backdrop`.
-        depth_mode: See `gsjax.rendering`.
-
-    Returns:
-        `[H, W, 3]` uint8.
+    Another number of Gaussians is another program, and so is another size of the picture.
 
     Raises:
         InputError: The view does not fit the device.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ class Scenery:
     def show_splats(self, gaussians: Gaussians) -> None:
         """Hands Gaussians to the browser, unless it has them."""
         if self._splats_of is not gaussians:
-            self._scene.add_gaussian_splats("/splats", **browser_splats(gaussians)._asdict())
+            self._scene.add_gaussian_splats("/splats", **browser_splats(gaussians))
             self._splats_of = gaussians
         self._set_visible("/splats", True)
 
@@ -50,10 +50,16 @@ class Scenery:
 
     def show_mesh(self, choice: str) -> None:
         """The mesh in its colours, as a grey shape, or not at all."""
-        add = {MESH_COLORS: self._add_mesh_colors, MESH_SHAPE: self._add_mesh_shape}
-        if choice in add and self._scene.get_handle_by_name(f"/mesh/{choice}") is None:
-            add[choice]()
-        for name in add:
+        file, similarity = self._viewed.mesh, self._viewed.similarity
+        if file is not None and self._scene.get_handle_by_name(f"/mesh/{choice}") is None:
+            if choice == MESH_COLORS:
+                place = similarity.length_to_local(-np.asarray(similarity.center))
+                self._scene.add_glb(f"/mesh/{choice}", glb_bytes(file), scale=similarity.scale, position=place)
+            elif choice == MESH_SHAPE:
+                mesh = similarity.mesh_to_local(read_mesh(file))
+                look = {"color": (200, 200, 200), "flat_shading": True, "side": "double"}
+                self._scene.add_mesh_simple(f"/mesh/{choice}", mesh.vertices, mesh.faces, **look)
+        for name in (MESH_COLORS, MESH_SHAPE):
             self._set_visible(f"/mesh/{name}", name == choice)
 
     def show_cameras(self, visible: bool) -> None:
@@ -63,19 +69,6 @@ class Scenery:
             for index, name in enumerate(self._viewed.cameras):
                 self._soon(partial(self._add_camera, index, name))
         self._set_visible("/cameras", visible)
-
-    def _add_mesh_colors(self) -> None:
-        if self._viewed.mesh is not None:
-            similarity = self._viewed.similarity
-            place = similarity.length_to_local(-np.asarray(similarity.center))
-            glb = glb_bytes(self._viewed.mesh)
-            self._scene.add_glb(f"/mesh/{MESH_COLORS}", glb, scale=similarity.scale, position=place)
-
-    def _add_mesh_shape(self) -> None:
-        if self._viewed.mesh is not None:
-            mesh = self._viewed.similarity.mesh_to_local(read_mesh(self._viewed.mesh))
-            look = {"color": (200, 200, 200), "flat_shading": True, "side": "double"}
-            self._scene.add_mesh_simple(f"/mesh/{MESH_SHAPE}", mesh.vertices, mesh.faces, **look)
 
     def _add_camera(self, index: int, name: str) -> None:
         """A camera in the scene, with its photo where that can be read; a click on it looks from there."""
@@ -116,22 +109,15 @@ class Scenery:
             node.visible = visible
 
 
-class BrowserSplats(NamedTuple):
-    """Gaussians as a browser draws them: without harmonics, filters or depth, but at once.
+def browser_splats(gaussians: Gaussians) -> dict[str, Any]:
+    """The Gaussians that are alive as a browser draws them: without harmonics, filters or depth, but at once.
 
-    The arrays that viser takes, numpy float32, of the Gaussians that are alive.
+    Returns:
+        What viser takes, float32: `[N, 3]` `centers` and `[N, 3, 3]` `covariances`, world; `[N, 3]` `rgbs` of degree 0
+        and `[N, 1]` `opacities`, 0..1.
     """
-
-    centers: np.ndarray  # [N, 3] world
-    covariances: np.ndarray  # [N, 3, 3] world, scene units squared
-    rgbs: np.ndarray  # [N, 3] 0..1, degree 0
-    opacities: np.ndarray  # [N, 1] 0..1
-
-
-def browser_splats(gaussians: Gaussians) -> BrowserSplats:
-    """What a browser needs of Gaussians; free rows of a training's buffers are left out."""
     alive, *arrays = (np.asarray(x) for x in _linear(gaussians))
-    return BrowserSplats(*(array[alive] for array in arrays))
+    return dict(zip(("centers", "covariances", "rgbs", "opacities"), (array[alive] for array in arrays), strict=True))
 
 
 @jax.jit

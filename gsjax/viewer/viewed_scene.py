@@ -1,7 +1,7 @@
 """The content of a page: a run, a file of Gaussians, or a mesh, with the cameras and photos that belong to it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
 from gsjax.meshing.export import SUFFIXES, is_mesh_file, read_mesh
 from gsjax.rendering import DepthReading
-from gsjax.runs.result import BACKGROUND_COLORS, Result, frame_camera, open_result, scene_of_run
+from gsjax.runs.result import BACKGROUND_COLORS, frame_camera, open_result, scene_of_run
 from gsjax.runs.viewpoints import mean_up, opaque_middle
 from gsjax.scene import Frame, Scene
 from gsjax.scene.cameras import Camera, look_at, viewmat_center
@@ -31,9 +31,8 @@ class ViewedScene:
     cameras: Mapping[str, Camera] = field(default_factory=dict)  # by the names of their photos
     photos: Mapping[str, Frame] = field(default_factory=dict)  # those that are at hand
     mesh: Path | None = None
-    background: np.ndarray = field(
-        default_factory=lambda: BACKGROUND_COLORS["black"]
-    )  # [3] or SH, see `gsjax.rendering.backdrop`
+    # [3] or SH, see `gsjax.rendering.backdrop`
+    background: np.ndarray = field(default_factory=lambda: BACKGROUND_COLORS["black"])
     depth_mode: DepthReading = "plane"
     similarity: Similarity = IDENTITY  # to all of this, which is local, from the mesh in its file
 
@@ -41,12 +40,10 @@ class ViewedScene:
 def open_viewed_scene(
     source: str | Path, *, mesh: str | Path | None = None, notify: Callable[[str], None] = lambda _: None
 ) -> ViewedScene:
-    """Reads what a person named.
+    """Reads a run folder, a file of Gaussians or a mesh; the header of a .ply decides.
 
-    Args:
-        source: A run folder; a file of Gaussians; or of a mesh. The header of a .ply decides.
-        mesh: A mesh that is shown with Gaussians; None: `mesh.ply` of a run that has one.
-        notify: Receives a line where the photos of a run are not at hand.
+    With Gaussians a mesh is shown: the given one, else `mesh.ply` of a run that has one. `notify` receives a line where
+    the photos of a run are not at hand.
 
     Raises:
         InputError: It is none of these, or cannot be read.
@@ -56,20 +53,21 @@ def open_viewed_scene(
         raise InputError(f"{source}: no such file or folder")
     if mesh is not None:
         read_mesh(mesh)
-    if source.is_dir():
-        return _of_run(source, Path(mesh) if mesh else None, notify)
-    if is_mesh_file(source):
+    is_folder = source.is_dir()
+    if not is_folder and is_mesh_file(source):
         if mesh is not None:
             raise InputError(f"{source}: is a mesh itself; --mesh goes with Gaussians")
         return _of_mesh(source)
-    if not source.name.lower().endswith(tuple(FORMATS)):
+    if not is_folder and not source.name.lower().endswith(tuple(FORMATS)):
         suffixes = ", ".join(FORMATS), ", ".join(SUFFIXES)
         raise InputError(
             f"{source}: is no run folder, and no file of Gaussians ({suffixes[0]}) or of a mesh ({suffixes[1]})"
         )
-    result = _opened(source)
-    return ViewedScene(
-        source.name,
+    result = open_result(source)
+    if not result.gaussians.num_gaussians:
+        raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
+    viewed = ViewedScene(
+        source.resolve().name if is_folder else source.name,
         **_seen_from(list(result.cameras), opaque_middle(result.gaussians)),
         gaussians=result.gaussians,
         mesh=Path(mesh) if mesh else None,
@@ -77,6 +75,18 @@ def open_viewed_scene(
         depth_mode=result.depth_mode,
         similarity=result.similarity,
     )
+    if not is_folder:
+        return viewed
+    own_mesh = source / "mesh.ply"
+    if mesh is None and own_mesh.exists():
+        read_mesh(own_mesh)
+        viewed = replace(viewed, mesh=own_mesh)
+    try:
+        photos = {frame.name: frame for frame in scene_of_run(source).frames}
+    except InputError as error:
+        notify(f"no photos: {error}")
+        photos = {}
+    return replace(viewed, cameras=dict(zip(result.names, result.cameras, strict=True)), photos=photos)
 
 
 def view_data_set(name: str, scene: Scene, background: str, depth_mode: DepthReading) -> ViewedScene:
@@ -91,37 +101,6 @@ def view_data_set(name: str, scene: Scene, background: str, depth_mode: DepthRea
         background=BACKGROUND_COLORS[background],
         depth_mode=depth_mode,
     )
-
-
-def _of_run(run: Path, mesh: Path | None, notify: Callable[[str], None]) -> ViewedScene:
-    result = _opened(run)
-    own = run / "mesh.ply"
-    if mesh is None and own.exists():
-        read_mesh(own)
-        mesh = own
-    try:
-        photos = {frame.name: frame for frame in scene_of_run(run).frames}
-    except InputError as error:
-        notify(f"no photos: {error}")
-        photos = {}
-    return ViewedScene(
-        run.resolve().name,
-        **_seen_from(list(result.cameras), opaque_middle(result.gaussians)),
-        gaussians=result.gaussians,
-        cameras=dict(zip(result.names, result.cameras, strict=True)),
-        photos=photos,
-        mesh=mesh,
-        background=result.background,
-        depth_mode=result.depth_mode,
-        similarity=result.similarity,
-    )
-
-
-def _opened(source: Path) -> Result:
-    result = open_result(source)
-    if not result.gaussians.num_gaussians:
-        raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
-    return result
 
 
 def _of_mesh(path: Path) -> ViewedScene:

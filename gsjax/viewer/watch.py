@@ -1,19 +1,24 @@
 """What the commands call: a result on a page, or a training."""
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 
 from gsjax.io.scenes import load_scene
 from gsjax.settings import Settings
 from gsjax.training.loop import Progress
-from gsjax.viewer.page import HOST, PORT, Page, check_port
-from gsjax.viewer.snapshots import Snapshots
+from gsjax.viewer.page import HOST, PORT, News, Page, check_port
 from gsjax.viewer.viewed_scene import open_viewed_scene, view_data_set
 
 SHARE = 0.03  # Of a training's time, what its page may take.
+EVERY = 5.0  # Seconds between two snapshots, at least.
 
 
 def view(source: str | Path, *, mesh: str | Path | None = None, host: str = HOST, port: int = PORT) -> None:
@@ -42,13 +47,7 @@ def watch(
     """Serve a page that shows a training while the context lasts.
 
     Its Gaussians are copied every few seconds while a browser looks. What the page takes, compilation and drawing
-    included, is kept to `SHARE` of the time since it opened.
-
-    Args:
-        scene: The data set.
-        settings: Of the run.
-        host: Address to listen on.
-        port: 0 takes a free one.
+    included, is kept to `SHARE` of the time since it opened. Host and port are those of `view`.
 
     Yields:
         The observer of every step, see `gsjax.pipeline.train`.
@@ -76,6 +75,39 @@ def watch(
         finally:
             page.close()
             answering.join()
+
+
+class Snapshots:
+    """Hands Gaussians of a training, which reports every step, to the page, which requests them now and then.
+
+    A step without a request costs one test of a flag.
+    """
+
+    def __init__(self, steps: int, *, every: float = EVERY, clock: Callable[[], float] = time.monotonic):
+        self._steps, self._every, self._clock = steps, every, clock
+        self._asked, self._taken, self._asked_at = Event(), None, -float("inf")
+
+    def observe(self, progress: Progress) -> None:
+        """Receive the report of a step, in the training's own thread."""
+        if self._asked.is_set():
+            self._asked.clear()
+            # The next step takes the buffers.
+            gaussians = jax.tree.map(jnp.copy, progress.state.gaussians)
+            effects = progress.state.effects
+            background = None if effects is None else effects.numbers.get("background")
+            self._taken = News(
+                gaussians,
+                f"{progress.phase.name}: step {progress.step:,} of {self._steps:,}",
+                None if background is None else np.array(background),
+            )
+
+    def news(self) -> News | None:
+        """What was copied since the last call, if anything; requests the next where it is time."""
+        news, self._taken = self._taken, None
+        if self._clock() - self._asked_at >= self._every and not self._asked.is_set():
+            self._asked_at = self._clock()
+            self._asked.set()
+        return news
 
 
 def _tell(line: str) -> None:

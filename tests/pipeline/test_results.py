@@ -143,5 +143,5 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_
     panels = read_image(report["picture"])[0].reshape(-1, 3)
     assert len(np.unique(panels, axis=0)) > 1000, "seven pictures and their titles"
     assert json_files.read(tmp_path / "demo/report.json")["floor"] == report["floor"]
-    with pytest.raises(InputError, match="this folder is not empty"):
+    with pytest.raises(InputError, match="exists and is not empty"):
         demo.run(tmp_path / "demo")

@@ -16,7 +16,7 @@ from gsjax import cli, pipeline
 from gsjax.io import json_files
 from gsjax.io.spz import read_spz
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.sharing.page import LIBRARIES
+from gsjax.pipeline.share import LIBRARIES
 
 HOSTILE = "</script><script>alert(1)</script><!-- <b onload='x'>&\""
 
