@@ -63,11 +63,11 @@ def kept_or(length: int, headroom: float, before: int | None) -> int:
 
 def is_compiled_anew(before: Any, state: Any) -> bool:
     """Whether a state's buffers are of other lengths than before, so that the next step is another program."""
-    return state is not before and _shapes(state) != _shapes(before)
 
+    def shapes(tree: Any) -> list[tuple[int, ...]]:
+        return [np.shape(leaf) for leaf in jax.tree.leaves(tree)]
 
-def _shapes(state: Any) -> list[tuple[int, ...]]:
-    return [np.shape(leaf) for leaf in jax.tree.leaves(state)]
+    return state is not before and shapes(state) != shapes(before)
 
 
 def can_stream(state: Any, data: Batches, view_share: float) -> bool:

@@ -21,15 +21,7 @@ def faulty_terms(
     target: Batch,
     key: Array,
 ) -> str:
-    """Which terms are at fault, in words.
-
-    Args:
-        names: Of the terms of the step.
-        step_of: The name of a term -> the same step with this term alone.
-        state: Before the step. It stays as it is.
-        target: What the step compares with.
-        key: Of the step.
-    """
+    """Which of these terms are at fault, in words, by the step of each alone. The state before it stays as it is."""
     faults = []
     for name in names:
         _, metrics = step_of(name)(jax.tree.map(jnp.copy, state), target, key)

@@ -207,8 +207,8 @@ def make_train_step(
         numbers = None if state.effects is None else state.effects.numbers
         zeros = jax.tree.map(jnp.zeros_like, (_Free(state.gaussians, None, numbers), state.statistics))
         sums, of_views = jax.lax.scan(add_view, zeros, views)
-        gradients, added = data_parallel.sum_over_devices(sums)
-        count = data_parallel.num_views(of_views.loss)
+        gradients, added = jax.lax.psum(sums, data_parallel.AXIS)
+        count = of_views.loss.shape[0] * jax.lax.axis_size(data_parallel.AXIS)
         metrics = _of_all_views(of_views, capacity)
         statistics = jax.tree.map(jnp.add, state.statistics, added)
         return jax.tree.map(lambda total: total / count, gradients), Outcome(metrics, metrics.overflowed, statistics)
@@ -236,8 +236,12 @@ def make_train_step(
 
 def _of_all_views(metrics: Metrics, capacity: int) -> Metrics:
     """What a step over the views of all devices reports, from the `[K]` metrics of each view of this device."""
-    loss, psnr, terms = jax.tree.map(data_parallel.mean_over_views, (metrics.loss, metrics.psnr, metrics.terms))
-    needed = data_parallel.largest_over_views(metrics.needed)
+
+    def mean(values: Array) -> Array:
+        return jax.lax.pmean(jnp.mean(values), data_parallel.AXIS)
+
+    loss, psnr, terms = jax.tree.map(mean, (metrics.loss, metrics.psnr, metrics.terms))
+    needed = jax.lax.pmax(jnp.max(metrics.needed), data_parallel.AXIS)
     return Metrics(loss, psnr, needed, needed > capacity, terms)
 
 
