@@ -128,17 +128,7 @@ def map_moments(optimizer: Optimizer, f, state: Any) -> Any:
 
 
 def rearrange_moments(optimizer: Optimizer, state: Any, source: Array, fresh: Array) -> Any:
-    """Moments follow their Gaussian: row i takes those of row `source[i]`, or zero where `fresh[i]`.
-
-    Args:
-        optimizer: The transformation that made `state`.
-        state: Its state.
-        source: `[N]` int32.
-        fresh: `[N]` bool.
-
-    Returns:
-        The state; counts and schedules are untouched.
-    """
+    """Moments follow their Gaussian: row i has those of row `source[i]` (`[N]` int32), or zero where `fresh[i]`."""
 
     def rearranged(moment):
         keep = (~fresh).reshape(-1, *[1] * (moment.ndim - 1))
