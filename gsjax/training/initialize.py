@@ -28,10 +28,7 @@ def far_points(points: np.ndarray, frames: Sequence[Frame], count: int) -> np.nd
     Args:
         points: `[P, 3]` the cloud, world.
         frames: The photos that are trained on.
-        count: Points on all spheres together; those that no photo sees are left out.
-
-    Returns:
-        `[Q, 3]` float32, Q at most `count`.
+        count: Points on all spheres together; those that no photo sees are left out of the float32 result.
     """
     eyes = np.stack([viewmat_center(frame.viewmat) for frame in frames])
     middle = np.median(points, axis=0)

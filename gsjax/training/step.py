@@ -246,11 +246,7 @@ def _of_all_views(metrics: Metrics, capacity: int) -> Metrics:
 
 
 def weighted_loss(
-    terms: Sequence[Weighed],
-    rule: DensificationRule | None,
-    gaussians: Gaussians,
-    view: View,
-    batch: Batch,
+    terms: Sequence[Weighed], rule: DensificationRule | None, gaussians: Gaussians, view: View, batch: Batch
 ) -> tuple[Any, dict[str, Array], Array]:
     """The weighted sum of the terms, with what a rule adds for its probe; each of them; the mean squared error."""
     losses = {each.name: each.term.loss(gaussians, view, batch) for each in terms}

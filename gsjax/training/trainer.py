@@ -134,12 +134,7 @@ def densify(state: TrainState, key: Array) -> TrainState:
     )
 
 
-def resolve_losses(losses: Losses) -> tuple[Weighed, ...]:
-    """The terms of a loss, those of weight 0 left out.
-
-    Raises:
-        InputError: A name has no term.
-    """
+def _resolve_losses(losses: Losses) -> tuple[Weighed, ...]:
     own = {name: loss[1] for name, loss in losses.items() if isinstance(loss, tuple)}
     terms = {name: each if isinstance(each, Term) else Term(each) for name, each in own.items()}
     weights = {name: loss[0] if isinstance(loss, tuple) else loss for name, loss in losses.items()}
@@ -160,14 +155,14 @@ class Step:
         """Descend the loss of one view. The buffers of `state` are donated: use the state that is returned."""
         state = self._prepared(state)
         self._check(view)
+        room = headroom(grows=self.densification is not None)
         if not self._capacity:
-            needed = rendering.largest_need(state.gaussians, [view.camera])
-            self._capacity = rounded_capacity(needed, headroom(grows=self.densification is not None))
+            self._capacity = rounded_capacity(rendering.largest_need(state.gaussians, [view.camera]), room)
         while True:
             state, metrics = self._compiled(self._capacity)(state, view, key)
             if not metrics.overflowed:
                 return state, metrics
-            self._capacity = rounded_capacity(int(metrics.needed), headroom(grows=self.densification is not None))
+            self._capacity = rounded_capacity(int(metrics.needed), room)
 
     def _prepared(self, state: TrainState) -> TrainState:
         if state.densification == self.densification and state.optimizer == self.optimizer:
@@ -221,7 +216,7 @@ def train_step(
     every = max(1, optimizer.steps // SH_BANDS) if isinstance(optimizer, SceneAdam) else 1000
     return Step(
         optimizer,
-        resolve_losses(losses),
+        _resolve_losses(losses),
         how,
         background=BACKGROUNDS[background],
         sh_every=sh_every or every,
