@@ -73,20 +73,15 @@ class Observations:
 
 
 def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter) -> Observations:
-    """Read every photo once.
-
-    Args:
-        scene: A loaded data set.
-        progress: Wraps the frames, for a bar.
-
-    Returns:
-        `Observations`, ordered by photo.
+    """Read every photo once; `progress` wraps the frames, for a bar. The observations are ordered by photo.
 
     Raises:
         InputError: A photo cannot be read.
     """
     by_name = tracks_by_name(scene)
-    in_sample = _random_sample(len(scene.points), max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames)))
+    in_sample = np.zeros(len(scene.points), bool)
+    most = max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames))
+    in_sample[np.random.default_rng(0).permutation(len(scene.points))[:most]] = True
     facts, parts = [], []
     for index, frame in enumerate(progress(scene.frames)):
         points, rays = by_name.get(frame.name, (np.empty(0, np.int64), np.empty((0, 2))))
@@ -100,13 +95,6 @@ def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fram
     return Observations(
         scene.frames, tuple(facts), scene.points.astype(np.float64), photo, point, pixels, colors, bool(len(photo))
     )
-
-
-def _random_sample(count: int, most: int) -> np.ndarray:
-    """`[P]` bool: which points stand for all, drawn at random."""
-    in_sample = np.zeros(count, bool)
-    in_sample[np.random.default_rng(0).permutation(count)[:most]] = True
-    return in_sample
 
 
 def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray) -> tuple[np.ndarray, PhotoFacts]:

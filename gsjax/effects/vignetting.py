@@ -99,10 +99,8 @@ def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effe
 def make_effect(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:
     """Every camera's light falls off by a polynomial of the squared tangent of the angle to its axis.
 
-    Args:
-        initial: `[C, 2]` coefficients of the logarithm: of the tangent squared and to the fourth.
-        camera: `[V]` whose camera took which photo, 0..C-1.
-        rate: See `Effect`.
+    `initial` are `[C, 2]` coefficients of the logarithm, of the tangent squared and to the fourth; `camera` `[V]` says
+    whose camera took which photo, 0..C-1.
     """
     whose = np.asarray(camera, np.int32)
 
