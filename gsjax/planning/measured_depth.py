@@ -1,6 +1,6 @@
 """Measured depth in a scene's own units: what one metre is there, by the points of structure from motion."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -10,14 +10,12 @@ from gsjax.io.depth_maps import DepthMaps, Readings, open_depth_maps
 from gsjax.io.messages import print_once
 from gsjax.scene import Frame, Scene
 from gsjax.settings import Supervision
+from gsjax.training.loop import Depths
 
 FEWEST = 100  # points from which the scale is told
 WIDEST = 0.2  # median of |log(point / measured)| from which maps and points do not show one thing
 TRUSTED = 127  # confidence of what the scale is told by, of 255
 ALIKE = 0.02  # of 1: the scene is in metres already
-
-Depths = Callable[[int], Iterable[Readings]]
-"""How many times smaller photos are -> depth in scene units and confidence of each, see `Batch`."""
 
 
 class MeasuredDepth(NamedTuple):
@@ -25,20 +23,6 @@ class MeasuredDepth(NamedTuple):
 
     depths: Depths
     line: str  # what was found
-
-
-class _Ratios(NamedTuple):
-    """Of points to what was measured where they are seen, both in the units that they come in."""
-
-    values: np.ndarray
-
-    @property
-    def middle(self) -> float:
-        return float(np.median(self.values))
-
-    @property
-    def spread(self) -> float:
-        return float(np.median(np.abs(np.log(self.values / self.middle))))
 
 
 def measured_depth(scene: Scene, supervision: Supervision) -> MeasuredDepth | None:
@@ -73,28 +57,29 @@ def _of_frame(maps: DepthMaps, frame: Frame, factor: float, scale: int) -> Readi
 def _factor(scene: Scene, maps: DepthMaps) -> tuple[float, str]:
     """Scene units of one unit of the maps, and how that was found."""
     own = float(scene.similarity.length_to_local(1.0))
-    ratios = _ratios(scene, maps)
-    if len(ratios.values) >= FEWEST and ratios.spread > WIDEST:
+    ratios, metres = _ratios(scene, maps), maps.metres
+    middle = float(np.median(ratios)) if len(ratios) >= FEWEST else 1.0
+    spread = float(np.median(np.abs(np.log(ratios / middle)))) if len(ratios) >= FEWEST else 0.0
+    if spread > WIDEST:
         raise InputError(
-            f"{maps.folder}: its depth and the points of the scene differ by {100 * ratios.spread:.0f} % at any scale;"
+            f"{maps.folder}: its depth and the points of the scene differ by {100 * spread:.0f} % at any scale;"
             " are the maps of these photos, and is it depth along the camera's axis?"
         )
-    metres = maps.metres
     if metres is None:
         return own * scene.place.scale, "taken as it is"
-    if len(ratios.values) < FEWEST:
+    if len(ratios) < FEWEST:
         return own * metres, "no points tell the scale of the scene, which is taken to be in metres"
-    scale = ratios.middle / (own * metres)  # units of the world to a metre
-    agreement = f"{len(ratios.values):,} points differ from it by {100 * ratios.spread:.1f} %"
+    scale = middle / (own * metres)  # units of the world to a metre
+    agreement = f"{len(ratios):,} points differ from it by {100 * spread:.1f} %"
     if abs(scale - 1) < ALIKE:
         return own * metres, f"the scene is in metres: {agreement}"
-    return ratios.middle, f"1 m is {scale:.4g} units of the scene: {agreement}"
+    return middle, f"1 m is {scale:.4g} units of the scene: {agreement}"
 
 
-def _ratios(scene: Scene, maps: DepthMaps) -> _Ratios:
-    """Points by what was measured at the pixels where structure from motion saw them."""
+def _ratios(scene: Scene, maps: DepthMaps) -> np.ndarray:
+    """Depths of points by what was measured where structure from motion saw them, both in their own units."""
     if scene.tracks is None:
-        return _Ratios(np.empty(0))
+        return np.empty(0)
     tracks = scene.tracks()
     numbers = {name: number for number, name in enumerate(tracks.names)}
     ratios = []
@@ -109,4 +94,4 @@ def _ratios(scene: Scene, maps: DepthMaps) -> _Ratios:
         column, row = np.where(within[:, None], xy, 0).astype(int).T
         measured = np.where(within & (trust[row, column] > TRUSTED), depth[row, column], 0)
         ratios.append(z[measured > 0] / measured[measured > 0])
-    return _Ratios(np.concatenate(ratios) if ratios else np.empty(0))
+    return np.concatenate(ratios) if ratios else np.empty(0)

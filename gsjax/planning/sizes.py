@@ -78,13 +78,8 @@ def training_extent(scene: Scene) -> float:
 def chosen_downscale(photos: Photos, frames: Sequence[Frame], *, on_cpu: bool | None = None) -> float:
     """How many times smaller the photos become: what the user said, else what the largest of them needs.
 
-    Its longer side is brought to `photos.longest_side` (1600 pixels, as 3DGS does), and on a CPU its area to
-    `photos.cpu_pixels` where the preset has that.
-
-    Args:
-        photos: The size that the settings request.
-        frames: Photos as they were taken.
-        on_cpu: Where it runs. None: as jax says.
+    Its longer side is brought to `photos.longest_side` (1600 pixels, as 3DGS does), and on a CPU (None: as jax says)
+    its area to `photos.cpu_pixels` where the preset has that.
     """
     if photos.downscale is not None:
         return photos.downscale

@@ -90,13 +90,7 @@ def score_variant(
 ) -> list[Score]:
     """Scores of a scene's held-out photos after a validation run on the others.
 
-    Args:
-        variant: What is trained.
-        scene: Its photos.
-        depths: Computes stereo depth of those that are trained on.
-        settings: Of the validation run.
-        matched: Name of a photo -> `[P, 3]` matched points.
-        observe: Called after every step.
+    `depths` computes stereo depth of those that are trained on; `matched` has `[P, 3]` points by the photo's name.
     """
     started, _ = with_stereo_points(scene, variant.plan, depths)
     model = replace(settings.model, max_gaussians=variant.plan.max_gaussians)

@@ -159,9 +159,6 @@ def angle_between_photos(scene: Scene) -> float | None:
     Of every point the median over the training photos that it was matched in, then the median over points; None where
     no point was matched in two of them.
 
-    Args:
-        scene: A loaded data set.
-
     Raises:
         InputError: The tracks cannot be read, or name points that the scene does not have.
     """

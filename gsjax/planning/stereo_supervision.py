@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.io.depth_maps import Readings
-from gsjax.planning.measured_depth import Depths
 from gsjax.scene import Frame, Scene
 from gsjax.settings import Settings
 from gsjax.stereo import PhotoDepths, StereoMaps, depths_of_photos, read_stereo_maps, stereo_maps
+from gsjax.training.loop import Depths
 
 MOST_PHOTOS = 100  # evenly spread; of more photos some have no stereo depth
 CERTAIN = 255  # confidence of depth that other photos confirm
@@ -46,28 +46,16 @@ class StereoSupervision(NamedTuple):
         return depth, np.where(depth > 0, CERTAIN, 0).astype(np.uint8)
 
 
-NO_STEREO = StereoSupervision({})
-
-
 def stereo_supervision(scene: Scene, settings: Settings, run: Path | None) -> StereoSupervision:
-    """Compute the stereo maps of the training photos, where the settings request them.
-
-    Args:
-        scene: The data set, its photos in memory.
-        settings: Of the run.
-        run: The folder of a resumed run, whose maps are read. None: the run is new.
+    """Compute the stereo maps of the training photos, where the settings request them; a resumed `run` has its own.
 
     Raises:
         InputError: The tracks or the maps of the run cannot be read.
     """
     supervision = settings.supervision
-    is_used = (
-        supervision.stereo_weight
-        and not settings.schedule.vanilla
-        and (supervision.normals is None or supervision.depth is None)
-    )
-    if not is_used:
-        return NO_STEREO
+    is_complete = supervision.normals is not None and supervision.depth is not None
+    if not supervision.stereo_weight or settings.schedule.vanilla or is_complete:
+        return StereoSupervision({})
     swept = None if run is not None else depths_of_photos(scene, MOST_PHOTOS)
     maps = stereo_maps(swept) if swept is not None else read_stereo_maps(run) or {}
     what = "depth and normals" if supervision.normals is None else "depth"

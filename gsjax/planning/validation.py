@@ -45,11 +45,7 @@ def image_scale(frames: Sequence[Frame], side: int = SIDE) -> int:
 def short_settings(settings: Settings, frames: Sequence[Frame], points: int, side: int = SIDE) -> Settings:
     """The settings of a validation run: `quick` in few steps on small photos, with the run's seed and background.
 
-    Args:
-        settings: The run.
-        frames: Its photos.
-        points: Number of matched points.
-        side: Pixels of the longest photo, about.
+    `points` is the number of matched points; `side` is that of the longest photo, pixels, about.
     """
     scale = image_scale(frames, side)
     pixels = max(frame.width * frame.height for frame in frames) / scale**2
@@ -69,16 +65,9 @@ class Variant:
     """One way to train. All its validation runs share their buffers and their compiled programs."""
 
     def __init__(self, plan: Plan, optimizer: Optimizer, extent: float, effects: Effects = NO_EFFECTS):
-        """Before the first run.
-
-        Args:
-            plan: The validation run.
-            optimizer: That makes its states.
-            extent: Camera extent of all training cameras, scene units.
-            effects: Those that are simulated, of the photos that the runs are trained on.
-        """
-        self.plan, self.optimizer = plan, optimizer
-        self._extent, self._effects = extent, effects
+        """Before the first run. The fields mean what those of `gsjax.training.loop.Work` do."""
+        self.plan, self.optimizer, self.effects = plan, optimizer, effects
+        self._extent = extent
         self._capacity: int | None = None  # of the pair buffer, as the last run left it
         self._make_step = _kept_steps(effects) if effects else kept_step  # which keeps such steps for all variants
 
@@ -95,7 +84,7 @@ class Variant:
             self._extent,
             self.optimizer,
             observe=note,
-            effects=self._effects,
+            effects=self.effects,
             make_step=self._make_step,
         )
         return follow(work, state, self._capacity)
@@ -144,12 +133,8 @@ def compared(
     a few steps do not reach the scene's brightness, and an effect that darkens all photos would seem right. A pixel
     that both miss by far is left out of both scores: it shows what no other photo shows.
 
-    Args:
-        without: `[H, W, 3]` pictures without the change, one a photo.
-        with_change: The same with it.
-        photos: What was photographed.
-        valid: `[H, W]` bool, which pixels may be used.
-        held_out: `[H, W]` bool, which of them are scored.
+    All are of one photo each: `[H, W, 3]` pictures without the change and with it, and photos; `[H, W]` bool of pixels
+    that are `valid`, and of those that are scored (`held_out`).
     """
     fit_pixels = [usable & ~out for usable, out in zip(valid, held_out, strict=True)]
     scored = [usable & out for usable, out in zip(valid, held_out, strict=True)]
