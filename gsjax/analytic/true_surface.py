@@ -17,11 +17,7 @@ _ON_SURFACE = 1e-4  # world units
 def mesh(spacing: float) -> Mesh:
     """The whole surface by surface nets: one vertex in every grid cell that it crosses, moved onto it.
 
-    Args:
-        spacing: Edge of a grid cell, world units. Edges of the solids are cut by at most that much.
-
-    Returns:
-        The mesh with the albedo as colours.
+    Edges of the solids are cut by at most the `spacing` of the grid, world units. Colours are the albedo.
     """
     low, high = np.array(solids.BOUNDS)
     axes = [np.arange(a, b + spacing, spacing, dtype=np.float32) for a, b in zip(low, high, strict=True)]
