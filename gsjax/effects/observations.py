@@ -109,7 +109,7 @@ def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray) -> tuple[n
         *_sky(image, luminance, usable, keypoints),
         matte is not None,
         _even(image, usable),
-        mean_colors(image),
+        block_means(image, light_stride(image.shape[1], image.shape[0])).astype(np.float16),
     )
     return _blurred_at(image, usable, looked_at), facts
 
@@ -228,8 +228,3 @@ def block_means(values: np.ndarray, stride: int) -> np.ndarray:
 def light_stride(width: int, height: int) -> int:
     """Pixels along the side of a place of `PhotoFacts.light`."""
     return max(1, -(-max(width, height) // LIGHT_GRID))
-
-
-def mean_colors(image: np.ndarray) -> np.ndarray:
-    """`PhotoFacts.light`."""
-    return block_means(image, light_stride(image.shape[1], image.shape[0])).astype(np.float16)

@@ -40,12 +40,9 @@ def gain(scene: Scene, settings: Settings, change: Callable[[Plan], Plan]) -> Ga
     """The gain of a changed plan on photos that training has not seen: decibels, and the error of depth.
 
     Each fold trains `quick` in few steps on small photos, with the change and without, and scores the photos that it
-    holds out. Depth is compared with that of the points that were matched in them. Deterministic.
-
-    Args:
-        scene: The data set, with five training photos at least. Its own held-out photos take no part.
-        settings: The run, whose points, seed, background and kind of Gaussians the validation runs have.
-        change: The plan of a validation run -> the changed plan.
+    holds out. Depth is compared with that of the points that were matched in them. Deterministic. There must be five
+    training photos; the scene's own held-out ones take no part. Points, seed, background and kind of Gaussians are
+    those of the run's settings.
 
     Raises:
         InputError: A photo or the tracks cannot be read.

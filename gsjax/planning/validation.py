@@ -138,7 +138,7 @@ def compared(
     """
     fit_pixels = [usable & ~out for usable, out in zip(valid, held_out, strict=True)]
     scored = [usable & out for usable, out in zip(valid, held_out, strict=True)]
-    both = [_errors(_fitted(pictures, photos, fit_pixels), photos) for pictures in (without, with_change)]
+    both = [_errors(pictures, photos, fit_pixels) for pictures in (without, with_change)]
     least = [np.minimum(*pair) for pair in zip(*both, strict=True)]
     pooled = np.concatenate([error[pixels] for error, pixels in zip(least, scored, strict=True)])
     most = transients.REACH**2 * np.quantile(pooled, transients.QUANTILE) if len(pooled) else 0.0
@@ -150,16 +150,12 @@ def compared(
     return Validated(*mean_and_error(gains)) if len(gains) > 1 else Validated(0.0, 0.0)
 
 
-def _fitted(
+def _errors(
     pictures: Sequence[np.ndarray], photos: Sequence[np.ndarray], fit_pixels: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
+    """`[H, W]` mean squared differences of the channels, after one factor per channel that fits some pixels."""
     triples = list(zip(pictures, photos, fit_pixels, strict=True))
     products = np.sum([(picture[there] * photo[there]).sum(0) for picture, photo, there in triples], axis=0)
     squares = np.sum([np.square(picture[there]).sum(0) for picture, _, there in triples], axis=0)
     factor = np.where(squares > 0, products / np.where(squares > 0, squares, 1), 1)
-    return [picture * factor for picture in pictures]
-
-
-def _errors(pictures: Sequence[np.ndarray], photos: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """`[H, W]` mean squared differences of the channels."""
-    return [np.square(np.clip(p, 0, 1) - photo).mean(-1) for p, photo in zip(pictures, photos, strict=True)]
+    return [np.square(np.clip(picture * factor, 0, 1) - photo).mean(-1) for picture, photo, _ in triples]

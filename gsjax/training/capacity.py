@@ -53,10 +53,7 @@ def rounded_capacity(needed: int, headroom: float) -> int:
 def kept_or(length: int, headroom: float, before: int | None) -> int:
     """The buffer of before, whose programs are compiled, where it is no longer than `length` and will not be too short.
 
-    Args:
-        length: `headroom` times what is needed.
-        headroom: Of `length`.
-        before: The length of a buffer; None: there is none.
+    `length` is `headroom` times what is needed.
     """
     return before if before is not None and STILL * length / headroom <= before <= length else length
 

@@ -20,12 +20,11 @@ from gsjax.training import buffers, data_parallel
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DensificationRule
-from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
-from gsjax.training.stepping import Feed, advance, one_view, several_views, view_order
+from gsjax.training.stepping import Feed, advance, faulty_terms, one_view, photo_of, several_views, view_order
 from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 

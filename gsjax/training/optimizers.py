@@ -75,13 +75,8 @@ class Adam:
 def make_optimizer(rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1) -> Adam:
     """Adam (0.9, 0.999) per field of `Gaussians`; the rate of the means falls log-linearly to `MEANS_FINAL`.
 
-    The other rates stay, or fall to `rates.final_share` of themselves in the last third.
-
-    Args:
-        rates: Per field; those of the means are times `extent`.
-        extent: Camera extent, scene units.
-        decay_steps: Optimiser steps over which rates fall.
-        views_per_step: Photos that a step takes: moments forget as much a photo, whatever that is.
+    The other rates stay, or fall to `rates.final_share` of themselves in the last third of `decay_steps`. The means'
+    are times the camera extent, scene units. Moments forget as much a photo, whatever a step has of them.
     """
     final = math.sqrt(views_per_step) * MEANS_FINAL
     of_means = optax.exponential_decay(

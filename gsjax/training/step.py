@@ -152,7 +152,9 @@ class _Objective:
         if beside is not None:
             beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
             neighbor = multi_view.render_neighbor(remaining, beside, self.capacity, self.depth_mode)
-            view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
+            view = view._replace(neighbor=neighbor)
+            longest = jnp.maximum(pairs.needed, neighbor.pairs.needed)
+            pairs = pairs._replace(needed=longest, overflowed=pairs.overflowed | neighbor.pairs.overflowed)
         total, losses, error = weighted_loss(self.terms, self.rule, gaussians, view, batch)
         total = total if added is None else total + added
         return total, (losses, error, view.splats.projection, pairs)
@@ -254,13 +256,6 @@ def weighted_loss(
     if rule:
         total += rule.probe_loss(view, batch)
     return total, losses, mse(jnp.clip(view.colors, 0, 1), batch.image, batch.valid)
-
-
-def _of_both(pairs: rasterizer.TilePairs, others: rasterizer.TilePairs) -> rasterizer.TilePairs:
-    """The lists of one view with the need of the longer lists of two."""
-    return pairs._replace(
-        needed=jnp.maximum(pairs.needed, others.needed), overflowed=pairs.overflowed | others.overflowed
-    )
 
 
 def in_photo(projection: rasterizer.Projection, size: Array) -> Array:
