@@ -25,12 +25,8 @@ def at_size(
 ) -> tuple[Scene, float, str]:
     """The data set at the size that a run reads, how many times smaller that is, and the line that says it.
 
-    Args:
-        scene: Folder of the data set.
-        photos: Which photos, and at what size.
-        steps: That the run takes, for the line.
-        downscale: What was chosen before; None: it is chosen now.
-        run: One that was trained on the same data set, whose split, coordinates and world are taken.
+    A `downscale` that was chosen before stays. A `run` that was trained on the same data set gives its split,
+    coordinates and world.
     """
     split = run.split if run else {}
     opened = partial(
