@@ -44,18 +44,20 @@ def measured_depth(scene: Scene, supervision: Supervision) -> MeasuredDepth | No
     factor, scale_note = _factor(scene, maps)
 
     def depths(scale: int) -> Iterator[Readings]:
-        return (_of_frame(maps, frame, factor, scale) for frame in frames)
+        for frame in frames:
+            if frame.name in maps.read:
+                depth, trust = maps.at(frame, scale)
+                yield depth * np.float32(factor), trust
+            else:
+                yield _nothing(frame, scale)
 
     notes = "; ".join(note for note in (scale_note, maps.note) if note)
     return MeasuredDepth(depths, f"of {len(maps.read)} of {len(frames)} photos, in {maps.unit}; {notes}")
 
 
-def _of_frame(maps: DepthMaps, frame: Frame, factor: float, scale: int) -> Readings:
-    if frame.name not in maps.read:
-        nothing = np.zeros((frame.height // scale, frame.width // scale), np.float32)
-        return nothing, nothing.astype(np.uint8)
-    depth, trust = maps.at(frame, scale)
-    return depth * np.float32(factor), trust
+def _nothing(frame: Frame, scale: int) -> Readings:
+    size = frame.height // scale, frame.width // scale
+    return np.zeros(size, np.float32), np.zeros(size, np.uint8)
 
 
 def _factor(scene: Scene, maps: DepthMaps) -> tuple[float, str]:
@@ -125,10 +127,9 @@ class StereoSupervision(NamedTuple):
         return lambda scale: (self._reading(frame, scale) for frame in frames)
 
     def _reading(self, frame: Frame, scale: int) -> Readings:
-        width, height = frame.width // scale, frame.height // scale
         if frame.name not in self.maps:
-            return np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
-        depth = self.maps[frame.name].depth_at_size(width, height)
+            return _nothing(frame, scale)
+        depth = self.maps[frame.name].depth_at_size(frame.width // scale, frame.height // scale)
         return depth, np.where(depth > 0, CERTAIN, 0).astype(np.uint8)
 
 
