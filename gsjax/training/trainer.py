@@ -1,13 +1,4 @@
-"""A training loop of your own: the optimizer, the state, the step and the densification that `gsjax.train` uses.
-
-optimizer = gsjax.adam(scene.extent, steps=2_000)
-step = gsjax.train_step(optimizer, {"l1": 0.8, "dssim": 0.2})
-state = gsjax.init(gaussians, optimizer)
-for i, view in zip(range(2_000), itertools.cycle(views)):
-state, metrics = step(state, view, key)
-if i % 100 == 99:
-state = gsjax.densify(state, key)
-"""
+"""A training loop of your own (`docs/own_loop.md`): what `gsjax.train` uses, one step at a time."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
