@@ -56,15 +56,16 @@ class Trace:
 
 
 def trace(camera: Camera, *, samples: int = 3) -> Trace:
-    """Renders the world by sphere tracing. Compiles once per image size, whatever the pose and focal length.
+    """Renders the world by sphere tracing, with `samples` of colour along each side of a pixel.
 
-    Args:
-        camera: The view.
-        samples: Colour samples along each side of a pixel.
+    Compiles once per image size, whatever the pose and focal length.
     """
     offsets = (np.arange(samples, dtype=np.float32) + 0.5) / samples - 0.5
     light = sum(_light_of_rays(camera, x, y) for y in offsets for x in offsets) / samples**2
-    return _traced(camera, *_surface_of_rays(camera), light)
+    origins, directions = _world_rays(camera, 0.0, 0.0)
+    distances = _cast_all(origins, directions)
+    points = _just_before(origins, directions, distances)
+    return _traced(camera, distances, normal_all(points), label_all(points), light)
 
 
 @jax.jit
@@ -78,13 +79,6 @@ def _traced(camera: Camera, distances: Array, normals: Array, labels: Array, lig
         colors=linear_to_srgb(light).reshape(*hit.shape, 3),
         labels=jnp.where(hit, labels.reshape(hit.shape), 0).astype(jnp.uint8),
     )
-
-
-def _surface_of_rays(camera: Camera) -> tuple[Array, Array, Array]:
-    origins, directions = _world_rays(camera, 0.0, 0.0)
-    distances = _cast_all(origins, directions)
-    points = _just_before(origins, directions, distances)
-    return distances, normal_all(points), label_all(points)
 
 
 def _light_of_rays(camera: Camera, offset_x: float, offset_y: float) -> Array:
@@ -233,14 +227,8 @@ def visible(point: Array, camera: Camera) -> Array:
 def cameras(num_views: int, size: tuple[int, int], *, seed: int = 0) -> list[Camera]:
     """Cameras on three rings around the solids, about 3 units away, spread evenly and jittered.
 
-    Args:
-        num_views: How many.
-        size: (width, height) in pixels.
-        seed: Of the jitter.
-
-    Returns:
-        Cameras that share one K with fx != fy and an off-centre principal point. Any stretch of consecutive views
-        covers all rings and directions.
+    They share one K with fx != fy and an off-centre principal point; `size` is (width, height). Any stretch of
+    consecutive views covers all rings and directions.
     """
     rng = np.random.default_rng(seed)
     width, height = size
@@ -358,8 +346,8 @@ label_all = jax.jit(jax.vmap(label))
 shade_all = jax.jit(jax.vmap(shade))
 
 
-def in_blocks(compiled: Callable[[np.ndarray], Array], points: np.ndarray, size: int = BLOCK) -> np.ndarray:
-    """A compiled function of `[size, ...]` points at `[P, ...]` of them, numpy: one program serves, however many."""
-    blocks = -(-len(points) // size)
-    padded = np.pad(points, ((0, blocks * size - len(points)), (0, 0)), mode="edge")
+def in_blocks(compiled: Callable[[np.ndarray], Array], points: np.ndarray) -> np.ndarray:
+    """A compiled function of `[BLOCK, ...]` points at `[P, ...]` of them: one program serves, however many."""
+    blocks = -(-len(points) // BLOCK)
+    padded = np.pad(points, ((0, blocks * BLOCK - len(points)), (0, 0)), mode="edge")
     return np.concatenate([np.asarray(compiled(block)) for block in np.split(padded, blocks)])[: len(points)]

@@ -17,11 +17,7 @@ _ON_SURFACE = 1e-4  # world units
 def mesh(spacing: float) -> Mesh:
     """The whole surface by surface nets: one vertex in every grid cell that it crosses, moved onto it.
 
-    Args:
-        spacing: Edge of a grid cell, world units. Edges of the solids are cut by at most that much.
-
-    Returns:
-        The mesh with the albedo as colours.
+    Edges of the solids are cut by at most the `spacing` of the grid, world units. Colours are the albedo.
     """
     low, high = np.array(solids.BOUNDS)
     axes = [np.arange(a, b + spacing, spacing, dtype=np.float32) for a, b in zip(low, high, strict=True)]
@@ -35,13 +31,7 @@ def mesh(spacing: float) -> Mesh:
 def sample_points(
     surface: Mesh, num_solids: int, num_table: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points spread evenly over the solids, and others over the upper side of the table.
-
-    Args:
-        surface: A mesh of the scene (`mesh`), which says where.
-        num_solids: Points to draw on the solids.
-        num_table: Points to draw on the table.
-        seed: Of the draw.
+    """Points spread evenly over the solids of a mesh of the scene, and others over the upper side of the table.
 
     Returns:
         `[P, 3]` float32 points in random order, world, their unit normals, and `[P]` bool: on the table. P falls short
@@ -72,8 +62,7 @@ def _project_all(points: np.ndarray | Array) -> Array:
 def _surface_nets(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cells with corners on both sides as vertices, joined: every edge between the two sides is pierced by one quad.
 
-    Args:
-        inside: `[X, Y, Z]` bool at the grid's corners.
+    `inside` is `[X, Y, Z]` bool at the grid's corners.
 
     Returns:
         `[V, 3]` the mean of each cell's corners outside, in grid steps, and the triangles `[F, 3]`. Outside is where

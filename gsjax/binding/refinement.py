@@ -33,9 +33,8 @@ from gsjax.scene.batches import Batch, Batches
 from gsjax.settings import Rates, check_lowest, check_seed
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
-from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.step import Background, Metrics, Outcome, guarded_step, weighted_loss
-from gsjax.training.stepping import advance, view_order
+from gsjax.training.stepping import advance, faulty_terms, photo_of, view_order
 from gsjax.training.terms import TERMS, Term, weigh_terms, weights_of_data
 
 

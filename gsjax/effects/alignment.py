@@ -26,17 +26,10 @@ Draw = Callable[[Sequence[Camera]], Sequence[Picture]]
 
 
 def align(camera: Camera, photo: np.ndarray, valid: np.ndarray, draw: Draw) -> Camera:
-    """The camera that shows what the photo shows, near a given one.
+    """The camera that shows what a photo `[H, W, 3]` 0..1 shows at `valid` pixels `[H, W]`, near a given camera.
 
-    Args:
-        camera: Where to start.
-        photo: `[H, W, 3]` 0..1.
-        valid: `[H, W]` bool, pixels that are compared.
-        draw: Renders.
-
-    Returns:
-        The best of those that were tried, by the mean squared difference: the given one where none is better, or where
-        there is nothing to compare.
+    The best of those that were tried, by the mean squared difference: the given one where none is better, or where
+    there is nothing to compare.
     """
     best, least = camera, np.inf
     for blur in (*BLURS, None):

@@ -52,10 +52,9 @@ class Start:
 
 
 def start(observations: Observations, names: Collection[str], skies: Masks = MappingProxyType({})) -> Start:
-    """Where the chosen effects start; zero without tracks.
+    """Where the chosen effects start; zero without tracks. `skies` are where photos show sky.
 
-    The same robust fit as the evidence, of display-coded values, since those are what training compares. `skies` are
-    where photos show sky.
+    The same robust fit as the evidence, of display-coded values, since those are what training compares.
     """
     frames = observations.frames
     trained = np.array([not frame.held_out for frame in frames])
@@ -98,12 +97,9 @@ def light_range(start_values: Start, frames: Sequence[Frame], names: Collection[
 
 
 def simulations(start_values: Start, names: Collection[str], rate: Callable[..., optax.Schedule]) -> Effects:
-    """The chosen effects, over the photos that are trained on.
+    """The named effects, over the photos that are trained on.
 
-    Args:
-        start_values: Where they start.
-        names: Of the chosen ones.
-        rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.simulation.learning_rate`.
+    `rate` is the schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.simulation.learning_rate`.
     """
     return {name: effect_module(name).simulate(start_values, rate) for name in SIMULATED if name in names}
 
@@ -133,10 +129,6 @@ def as_near_photos(frames: Sequence[Frame], looks: Mapping[str, Appearance]) -> 
     A camera exposes for what it sees, so what was taken from near by, looking the same way, is exposed alike. Means of
     the nearest training photos' gains, by inverse squares of the distance: of the cameras (in mean distances from
     their middle) and of the ends of their optical axes. No pixel of a held-out photo is used, nor a keypoint.
-
-    Args:
-        frames: All photos, with at least one that is trained on if one is held out.
-        looks: Of all of them.
     """
     stood = {frame.name: _stands(frame) for frame in frames}
     trained = [frame.name for frame in frames if not frame.held_out]

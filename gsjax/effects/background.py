@@ -74,10 +74,6 @@ def initial(observations: Observations, skies: Masks = MappingProxyType({})) -> 
     """`[(L + 1)^2, 3]` SH coefficients to start with: the colours of the sky, the mean of what looks like it, or grey.
 
     L is 0 where what looks like sky has one colour, or nothing does; else `DEGREE`.
-
-    Args:
-        observations: The photos.
-        skies: Where they show sky; those that are needed are read again.
     """
     if any(frame.name in skies and not frame.held_out for frame in observations.frames):
         return _seen_through(observations.frames, skies)
@@ -106,11 +102,7 @@ def _seen_through(frames: Sequence[Frame], skies: Masks) -> np.ndarray:
 def is_one(observations: Observations, color: float, most: np.ndarray, least: np.ndarray) -> bool:
     """Whether what looks like sky may all be of one grey, as the cameras show it: laid under renders, it is enough.
 
-    Args:
-        observations: The photos.
-        color: The grey, 0..1.
-        most: `[V, 3]` what a photo multiplies display-coded light by where it is brightest; 1 where nothing is known.
-        least: The same where it is darkest.
+    `most` and `least` are `[V, 3]`, what a photo multiplies display-coded light by; 1 where nothing is known.
     """
     is_open = np.array([facts.sky_share > OPEN for facts in observations.facts])
     if not is_open.any():
@@ -129,10 +121,5 @@ def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effe
 
 
 def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
-    """A colour by direction stands behind all Gaussians, see `gsjax.rendering.backdrop`. No surface is made of it.
-
-    Args:
-        coefficients: `[(L + 1)^2, 3]` to start with.
-        rate: See `Effect`.
-    """
+    """A colour by direction stands behind all Gaussians, see `gsjax.rendering.backdrop`. No surface is made of it."""
     return Effect(np.asarray(coefficients, np.float32), rate, behind=backdrop.color_behind)

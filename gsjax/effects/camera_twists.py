@@ -16,14 +16,9 @@ _SMALL = 1e-6  # of a squared angle, below which sines are their series: to 14 d
 
 
 def apply_twist(camera: Camera, twist: Array, unit: float) -> Camera:
-    """The camera after a twist. Differentiable everywhere, at none at all and at half turns too.
+    """The camera after a twist `[6]` with shifts in `unit`s. Differentiable everywhere, at zero and at half turns too.
 
     A twist of zero gives back the same numbers: what is added to the camera's own is zero.
-
-    Args:
-        camera: Any camera.
-        twist: `[6]` turn, radians; shift, in `unit`s.
-        unit: Scene units.
     """
     change = _less_identity(-twist[:3])  # of the world as the camera sees it
     before = cameras.rotation(camera)
@@ -38,10 +33,7 @@ def gauge(centers: np.ndarray, unit: float) -> np.ndarray:
     """`[6 V, G]` orthonormal float32: the twists of V cameras that turn, shift and scale the world, and nothing else.
 
     Seven for cameras in general; fewer where those are not independent: six of one camera, which can only be moved so.
-
-    Args:
-        centers: `[V, 3]` of the cameras, world.
-        unit: Of a twist's shift, scene units.
+    `centers` are `[V, 3]`; shifts are in `unit`s.
     """
     offsets = (centers - centers.mean(0)).astype(np.float64) / unit
     modes = np.zeros((len(centers), 6, 7))

@@ -53,14 +53,7 @@ class Diagnosis:
 
 
 def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter) -> Diagnosis:
-    """Judge every effect.
-
-    Args:
-        scene: A loaded data set; every photo is read once, and tracks where it has any.
-        progress: Wraps the frames, for a bar.
-
-    Returns:
-        A `Diagnosis`.
+    """Judge every effect. Every photo is read once; `progress` wraps the frames, for a bar.
 
     Raises:
         InputError: A photo or the tracks cannot be read.

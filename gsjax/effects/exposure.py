@@ -37,16 +37,10 @@ class Gains(NamedTuple):
     agreement: tuple[float, float]  # correlation of both halves of the scene: exposures, white balances
 
 
-def light_table(observations: Observations) -> Table:
-    """The observations as log2 of linear light."""
-    return table(
-        np.log2(srgb_to_linear(observations.colors)), observations.photo, observations.point, len(observations.frames)
-    )
-
-
 def estimate(observations: Observations) -> Gains | None:
     """Gains of the photos, and how far they can be trusted; None without tracks that say anything."""
-    data = light_table(observations)
+    light = np.log2(srgb_to_linear(observations.colors))
+    data = table(light, observations.photo, observations.point, len(observations.frames))
     if len(np.unique(data.photo)) < 2:
         return None
     half = np.random.default_rng(0).random(int(data.point.max()) + 1) < 0.5
@@ -83,21 +77,16 @@ def judge(findings: "Findings") -> Evidence:
 
 def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
     """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
-    peak = (
-        RATE_KNOWN if start_values.tracked else RATE
-    )  # near its start, an effect explains less of what a scene lacks yet
+    # Near its start, an effect explains less of what a scene lacks yet.
+    peak = RATE_KNOWN if start_values.tracked else RATE
     return make_effect(start_values.log_gains[start_values.trained], rate(peak=peak))
 
 
 def make_effect(initial: np.ndarray, rate: optax.Schedule) -> Effect:
-    """Every photo multiplies the display-coded channels by its own factors, whose logarithms have mean zero.
+    """Every photo multiplies the display-coded channels by its own factors, of logarithms `[V, 3]` of mean zero.
 
     A factor of light is a factor of display-coded values to the power 1 / 2.2, up to toe and clipping. The mean is
     taken off the numbers as they are used, so the scene is that of the mean photo whatever an optimiser does.
-
-    Args:
-        initial: `[V, 3]` logarithms.
-        rate: See `Effect`.
     """
 
     def light(numbers: Array, colors: Array, batch: Batch) -> Array:

@@ -73,20 +73,15 @@ class Observations:
 
 
 def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter) -> Observations:
-    """Read every photo once.
-
-    Args:
-        scene: A loaded data set.
-        progress: Wraps the frames, for a bar.
-
-    Returns:
-        `Observations`, ordered by photo.
+    """Read every photo once; `progress` wraps the frames, for a bar. The observations are ordered by photo.
 
     Raises:
         InputError: A photo cannot be read.
     """
     by_name = tracks_by_name(scene)
-    in_sample = _random_sample(len(scene.points), max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames)))
+    in_sample = np.zeros(len(scene.points), bool)
+    most = max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames))
+    in_sample[np.random.default_rng(0).permutation(len(scene.points))[:most]] = True
     facts, parts = [], []
     for index, frame in enumerate(progress(scene.frames)):
         points, rays = by_name.get(frame.name, (np.empty(0, np.int64), np.empty((0, 2))))
@@ -102,13 +97,6 @@ def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fram
     )
 
 
-def _random_sample(count: int, most: int) -> np.ndarray:
-    """`[P]` bool: which points stand for all, drawn at random."""
-    in_sample = np.zeros(count, bool)
-    in_sample[np.random.default_rng(0).permutation(count)[:most]] = True
-    return in_sample
-
-
 def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray) -> tuple[np.ndarray, PhotoFacts]:
     image, matte, valid = frame.pixels()
     usable = np.ones(image.shape[:2], bool) if valid is None else valid > 127
@@ -121,7 +109,7 @@ def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray) -> tuple[n
         *_sky(image, luminance, usable, keypoints),
         matte is not None,
         _even(image, usable),
-        mean_colors(image),
+        block_means(image, light_stride(image.shape[1], image.shape[0])).astype(np.float16),
     )
     return _blurred_at(image, usable, looked_at), facts
 
@@ -240,8 +228,3 @@ def block_means(values: np.ndarray, stride: int) -> np.ndarray:
 def light_stride(width: int, height: int) -> int:
     """Pixels along the side of a place of `PhotoFacts.light`."""
     return max(1, -(-max(width, height) // LIGHT_GRID))
-
-
-def mean_colors(image: np.ndarray) -> np.ndarray:
-    """`PhotoFacts.light`."""
-    return block_means(image, light_stride(image.shape[1], image.shape[0])).astype(np.float16)

@@ -29,23 +29,14 @@ Surface = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Parallax(NamedTuple):
-    """Mean squared differences of light between photos, as multiples of those at infinity.
+    """Mean squared differences of light between photos, as multiples of those at infinity."""
 
-    Attributes:
-        near: Of the likeliest box up to about twice as large as what was matched.
-        far: Of the likeliest larger one.
-        fixed: Of what stays where it is in the picture: fall-off, a flash.
-        difference: Root mean square at infinity, EV.
-        blueness: log2 of green over red in the bluest tenth, 0 is grey.
-        blue_range: By how much it differs within the regions, EV; light of one colour on plaster has one.
-    """
-
-    near: float
-    far: float
-    fixed: float
-    difference: float
-    blueness: float
-    blue_range: float
+    near: float  # of the likeliest box up to about twice as large as what was matched
+    far: float  # of the likeliest larger one
+    fixed: float  # of what stays where it is in the picture: fall-off, a flash
+    difference: float  # root mean square at infinity, EV
+    blueness: float  # log2 of green over red in the bluest tenth, 0 is grey
+    blue_range: float  # by how much it differs within the regions, EV; light of one colour on plaster has one
 
 
 class _View(NamedTuple):
@@ -80,13 +71,8 @@ def compare(
     ratios, difference = _ratios(views, pairs, (*near, *far))
     if not np.isfinite(ratios).any():
         return None
-    return Parallax(
-        _least(ratios[: len(near)]),
-        _least(ratios[len(near) : -1]),
-        _least(ratios[-1:]),
-        difference,
-        *_blue(views),
-    )
+    near_far_fixed = (ratios[: len(near)], ratios[len(near) : -1], ratios[-1:])
+    return Parallax(*map(_least, near_far_fixed), difference, *_blue(views))
 
 
 def _blue(views: Sequence[_View]) -> tuple[float, float]:
@@ -216,11 +202,8 @@ def _boxes(
 ) -> list[Surface]:
     """Level boxes about the matched points and the cameras, turned to the least area; some lack walls, some a ceiling.
 
-    Args:
-        observations: The photos.
-        up: `[3]` unit.
-        sides: Times as wide as what is within.
-        heights: Of the ceiling over it, and of it over the floor, in mean half widths.
+    They are `sides` times as wide as what is within. Ceilings are `heights` over it, and it over floors, in mean half
+    widths.
     """
     eyes = np.stack([viewmat_center(frame.viewmat.astype(np.float64)) for frame in observations.frames])
     across = np.linalg.svd(up[None])[2][1:]

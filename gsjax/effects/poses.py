@@ -116,8 +116,7 @@ def make_effect(
 
     Args:
         centers: `[V, 3]` camera centres, world.
-        unit: Scene units of a shift of 1: about the distance to what is seen, so that turns and shifts move pixels
-            alike.
+        unit: Scene units of a shift of 1: about the distance to what is seen, so turns and shifts move pixels alike.
         whose: `[V]` whose camera took which photo, 0..C-1.
         count: C, of the cameras.
         rate: See `Effect`.
@@ -161,12 +160,7 @@ def _moved_and_zoomed(camera: Camera, twist: Array, focal: Array) -> Camera:
 def moves(numbers: Any, centers: np.ndarray, unit: float, trained: np.ndarray, whose: np.ndarray) -> tuple[Move, ...]:
     """Of all V photos after training. Those that are held out keep their pose, and share their camera's focal length.
 
-    Args:
-        numbers: As optimised, of the photos that are trained on.
-        centers: `[V, 3]` camera centres as given, world.
-        unit: As in `make_effect`.
-        trained: `[V]` bool.
-        whose: `[V]` whose camera took which photo.
+    `numbers` are of the photos that are trained on (`trained` `[V]` bool), the rest as in `make_effect`.
     """
     photo_twists = np.zeros((len(centers), 6))
     photo_twists[trained] = np.asarray(twists(numbers, gauge(centers[trained], unit))) * np.repeat([1.0, unit], 3)
@@ -192,16 +186,9 @@ def _step(observations: Observations, index: int) -> Step | None:
     zero, one = np.zeros_like(x), np.ones_like(x)
     # Of a turn about the camera's axes (radians), then of a move in units of depth.
     depth = float(np.median(z))
-    slopes = (
-        np.stack(
-            [
-                np.stack([-x * y / z**2, 1 + (x / z) ** 2, -y / z, one * depth / z, zero, -x / z**2 * depth], -1),
-                np.stack([-(1 + (y / z) ** 2), x * y / z**2, x / z, zero, one * depth / z, -y / z**2 * depth], -1),
-            ],
-            axis=1,
-        )
-        * focal[:, None]
-    )  # [M, 2, 6]
+    across = np.stack([-x * y / z**2, 1 + (x / z) ** 2, -y / z, one * depth / z, zero, -x / z**2 * depth], -1)
+    down = np.stack([-(1 + (y / z) ** 2), x * y / z**2, x / z, zero, one * depth / z, -y / z**2 * depth], -1)
+    slopes = np.stack([across, down], axis=1) * focal[:, None]  # [M, 2, 6]
     weights, twist, inverse, sigma = np.ones(len(x)), np.zeros(6), np.eye(6), 0.0
     for _ in range(_ROUNDS):
         normal = np.einsum("mca,mcb,m->ab", slopes, slopes, weights)

@@ -65,14 +65,7 @@ def initial_state(effects: Effects) -> EffectState | None:
 
 
 def move_camera(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, photo: Array | None) -> Camera:
-    """The camera of a photo as the effects have it; the given one where there are none.
-
-    Args:
-        effects: The effects.
-        numbers: Theirs; None of none.
-        camera: As the data set has it.
-        photo: `[]` int32 whose numbers are meant.
-    """
+    """The camera of a photo (`[]` int32) as the effects have it; the given one where there are none."""
     if numbers is None or photo is None:
         return camera
     for name, effect in effects.items():
@@ -94,18 +87,8 @@ def light_behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camer
 def photograph(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
     """What the camera makes of a view.
 
-    Where photos have mattes, the background is laid under them by us, after any camera: it stays as it is. A white
-    pixel says only that there was no less light: what effects make brighter than white there is white.
-
-    Args:
-        effects: The effects.
-        numbers: Theirs; None of none.
-        view: What is rendered.
-        batch: The view; its `photo` says whose numbers are meant.
-        background: `[3]` colour under the view.
-
-    Returns:
-        The view with other colours.
+    Where photos have mattes, the background `[3]` is laid under them by us, after any camera: it stays as it is. A
+    white pixel says only that there was no less light: what effects make brighter than white there is white.
     """
     if numbers is None or all(effect.light is None for effect in effects.values()):
         return view

@@ -76,10 +76,7 @@ def judge(findings: "Findings") -> Evidence:
 def judge_masks(observations: Observations, masks: Masks, compared: Parallax | None = None) -> Evidence:
     """Judge whether the regions of `find` are sky; on only where their light comes from infinity.
 
-    Args:
-        observations: The photos.
-        masks: Where they may show sky.
-        compared: What `gsjax.effects.parallax.compare` measured in `regions`.
+    `compared` is what `gsjax.effects.parallax.compare` measured in `regions`.
     """
     unit = "times the error at infinity"
     if any(facts.has_matte for facts in observations.facts):
@@ -149,15 +146,10 @@ def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
 
 
 def lies_in(points: np.ndarray, frames: Sequence[Frame], masks: Masks) -> np.ndarray:
-    """`[N]` bool: which points most of the photos that have them in view show sky at, two at least.
+    """`[N]` bool: which points `[N, 3]` most of the photos that have them in view show sky at, two at least.
 
     Nothing stands on the ray of a sky's pixel, so that a point of a surface lies in no photo's sky; most must agree
-    because a mask may be wrong.
-
-    Args:
-        points: `[N, 3]`, of the frames' coordinates; what is not finite lies in none.
-        frames: The photos, those without sky too.
-        masks: Of the photos that show sky, of any size, as their masks are.
+    because a mask may be wrong. A point that is not finite lies in none.
     """
     finite = np.logical_and.reduce(np.isfinite(points), axis=1)
     usable = np.where(finite[:, None], points, 0).astype(np.float64)

@@ -57,9 +57,6 @@ def make_effect(rate: optax.Schedule) -> Effect:
 
     The logarithm of the quantile starts at 0, a difference of 1, which no pixel exceeds, and sinks to where it belongs:
     masks set in as the scene takes shape.
-
-    Args:
-        rate: See `Effect`; of the quantile's logarithm.
     """
     return Effect(np.float32(0), rate, trusts=trusts)
 
@@ -68,10 +65,7 @@ def delay_densification(density: Density, steps: int) -> Density:
     """Densification that starts once the masks have formed, and ends as much later (RobustSplat, Fu et al. 2025).
 
     Earlier, Gaussians would densify in front of a camera to show a transient, and no other photo would remove them.
-
-    Args:
-        density: Without masks.
-        steps: Of the phases that densify, in which densification ends.
+    It ends within the `steps` of the phases that densify.
     """
     wait = round(LATER * max(min(density.stop, steps) - density.start, 0))
     stop = max(density.stop, min(density.stop + wait, steps))

@@ -26,14 +26,10 @@ FEWEST_IN_HALF = 6  # photos, by which a change over time is judged
 _GROUPS = 20  # of radii in a picture
 
 
-def corner(observations: Observations, gains: Gains) -> tuple[float, float]:
-    """Light at half a diagonal from the principal point against the middle's, EV, and its standard error."""
-    return slope_on(observations.radii2, gains.data, gains.fit)
-
-
 def slope_on(radii2: np.ndarray, data: Table, solution: Fit) -> tuple[float, float]:
     """Slope of the logarithms on squared radii `[O]`, and its standard error.
 
+    On `Observations.radii2` it is the light at half a diagonal from the principal point against the middle's, EV.
     What photos and points explain is taken out of both first: what counts is one point nearer to the middle in one
     photo than in another. Observations of a photo count as one in the error, since what the model leaves of it is
     shared.
@@ -52,7 +48,7 @@ def profile(observations: Observations, gains: Gains) -> tuple[np.ndarray, np.nd
     data, weights = gains.data, gains.fit.weights
     radii = observations.radii2[data.rows]
     across = project(radii[:, None], data, weights)[1][:, 0]
-    slope, _ = corner(observations, gains)
+    slope, _ = slope_on(observations.radii2, data, gains.fit)
     light = gains.fit.residuals.mean(1) + slope * (radii - across)
     groups = np.array_split(np.argsort(radii), min(_GROUPS, len(radii)))
     means = [(radii[rows].mean(), light[rows].mean()) for rows in groups]
@@ -60,7 +56,7 @@ def profile(observations: Observations, gains: Gains) -> tuple[np.ndarray, np.nd
 
 
 def halves(observations: Observations, gains: Gains) -> list[tuple[float, float]]:
-    """`corner` of the earlier and of the later photos, in the order of their names; empty where they are too few."""
+    """`slope_on` radii of the earlier and of the later photos, by the order of their names; empty where too few."""
     half = len(observations.frames) // 2
     if half < FEWEST_IN_HALF:
         return []
@@ -79,7 +75,7 @@ def judge(findings: "Findings") -> Evidence:
     observations, gains = findings.observations, findings.gains
     if gains is None:
         return unknown("EV", THRESHOLD, "needs points that three photos see")
-    slope, error = corner(observations, gains)
+    slope, error = slope_on(observations.radii2, gains.data, gains.fit)
     note = f"how much darker a corner is than the middle; needs {SIGNIFICANT} standard errors, has"
     note += f" {-slope / max(error, 1e-6):.0f}"
     parts = halves(observations, gains)
@@ -99,10 +95,8 @@ def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effe
 def make_effect(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:
     """Every camera's light falls off by a polynomial of the squared tangent of the angle to its axis.
 
-    Args:
-        initial: `[C, 2]` coefficients of the logarithm: of the tangent squared and to the fourth.
-        camera: `[V]` whose camera took which photo, 0..C-1.
-        rate: See `Effect`.
+    `initial` are `[C, 2]` coefficients of the logarithm, of the tangent squared and to the fourth; `camera` `[V]` says
+    whose camera took which photo, 0..C-1.
     """
     whose = np.asarray(camera, np.int32)
 

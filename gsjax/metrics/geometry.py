@@ -131,12 +131,9 @@ def compare_to_surface(
 
 
 def normal_error_degrees(rendered: np.ndarray, true: np.ndarray, mask: np.ndarray) -> dict[str, float]:
-    """Angles between two normal maps, signed: opposite normals are 180 degrees apart.
+    """Angles between two normal maps `[H, W, 3]`, signed: opposite normals are 180 degrees apart.
 
-    Args:
-        rendered: `[H, W, 3]` of any length but zero; where it is zero, nothing was rendered: that counts as 90 degrees.
-        true: `[H, W, 3]`, zero where there is no truth; those pixels have weight 0.
-        mask: `[H, W]` bool, the pixels to score.
+    Of the pixels of `mask` `[H, W]` where there is a true normal. A rendered normal of zero counts as 90 degrees.
 
     Returns:
         `mean` and `median` in degrees and the `count` of pixels; NaN angles where the count is 0.

@@ -16,13 +16,7 @@ def psnr(
 ) -> Float[Array, ""]:
     """Peak signal-to-noise ratio, `20 log10(1 / sqrt(mse))`, over all valid pixels and channels.
 
-    Args:
-        image: Clamped to 0..1 by the caller.
-        target: In 0..1.
-        mask: The pixels that count; all where None.
-
-    Returns:
-        Decibels; infinite for equal images.
+    In decibels; infinite for equal images. Both are in 0..1.
     """
     return -10.0 * jnp.log10(mse(image, target, mask))
 
@@ -45,15 +39,7 @@ def ssim(
     """Structural similarity: its mean over the valid pixels and all channels, see `rasterizer.similarity.ssim_map`.
 
     Invalid pixels are zero in both images, exactly as what lies beyond the border is. On a CPU float32 images are
-    compared in native loops.
-
-    Args:
-        image: In 0..1.
-        target: In 0..1.
-        mask: The pixels that count; all where None.
-
-    Returns:
-        At most 1, which equal images reach.
+    compared in native loops. Images are in 0..1; equal ones have 1, the most.
     """
     _check(image, target, mask)
     return similarity.ssim(image, target, mask)

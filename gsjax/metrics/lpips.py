@@ -45,9 +45,9 @@ def lpips_measures(files: Iterable[str | Path]) -> dict[str, Measure]:
     for file in files:
         graph = Graph(file)
         kind = _kind(graph)
-        measures[f"lpips_{kind}"] = partial(_distance, graph, _signed)
+        measures[f"lpips_{kind}"] = partial(_distance, graph, lambda picture: 2 * picture - 1)
         if kind == "vgg":
-            measures[STANDARD] = partial(_distance, graph, _as_it_is)
+            measures[STANDARD] = partial(_distance, graph, lambda picture: picture)
     return measures
 
 
@@ -58,17 +58,12 @@ def lpips(first: Sequence[np.ndarray], second: Sequence[np.ndarray], weights: Se
         first: Features of one picture, `[C, H, W]` a layer; sizes differ from layer to layer.
         second: Features of the other, of the same shapes.
         weights: `[C]` a layer, not negative.
-
-    Returns:
-        0 for equal features; symmetric in the pictures.
     """
-    layers = zip(first, second, weights, strict=True)
-    return float(sum(np.mean(layer_distance(a, b, w), dtype=np.float64) for a, b, w in layers))
-
-
-def layer_distance(first: np.ndarray, second: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """`[H, W]` weighted squared distance between the unit feature vectors of a layer, `[C, H, W]` each."""
-    return np.einsum("c,chw->hw", weights, np.square(_unit(first) - _unit(second)))
+    total = 0.0
+    for one, other, weight in zip(first, second, weights, strict=True):
+        distances = np.einsum("c,chw->hw", weight, np.square(_unit(one) - _unit(other)))
+        total += float(np.mean(distances, dtype=np.float64))
+    return total
 
 
 def _unit(features: np.ndarray) -> np.ndarray:
@@ -81,14 +76,6 @@ def _distance(graph: Graph, ranged: Callable[[np.ndarray], np.ndarray], image: n
     if not np.isfinite(value):
         raise InputError(f"{graph.file}: gives features that are not finite")
     return value
-
-
-def _signed(picture: np.ndarray) -> np.ndarray:
-    return 2 * picture - 1
-
-
-def _as_it_is(picture: np.ndarray) -> np.ndarray:
-    return picture
 
 
 def _features(graph: Graph, picture: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -115,8 +102,5 @@ def _kind(graph: Graph) -> str:
                 raise InputError(f"{graph.file}: has negative weights, which LPIPS does not")
             return name
     channel_counts = ", ".join(str(len(each)) for each in [*features, *weights])
-    raise InputError(f"{graph.file}: gives {channel_counts} channels and weights; known are {_channels_of_networks()}")
-
-
-def _channels_of_networks() -> str:
-    return "; ".join(f"{name}, {' '.join(map(str, channels))} twice" for name, channels in CHANNELS.items())
+    known_channels = "; ".join(f"{name}, {' '.join(map(str, each))} twice" for name, each in CHANNELS.items())
+    raise InputError(f"{graph.file}: gives {channel_counts} channels and weights; known are {known_channels}")

@@ -82,16 +82,9 @@ def score_pictures(
     align: Aligner | None = None,
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
 ) -> dict[str, Any]:
-    """`score_images` of whatever draws pictures: Gaussians or a mesh.
+    """`score_images` of whatever draws the pictures of cameras, one by one: Gaussians or a mesh.
 
-    Args:
-        draw: Cameras -> their pictures, one by one.
-        frames: As of `score_images`.
-        color: `[3]`, or as `gsjax.rendering.backdrop` takes it, what `draw` has behind all.
-        measures: As of `score_images`.
-        photo_effects: As of `score_images`.
-        align: As of `score_images`.
-        observe: As of `score_images`.
+    `color` is `[3]`, or as `gsjax.rendering.backdrop` has it: what `draw` has behind all.
     """
     lights = {"_near_gains": photo_effects.near_appearances, "_track_gains": photo_effects.appearances}
     ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if photo_effects.appearances else ()))
@@ -114,15 +107,12 @@ def score_pictures(
         lit = {way: _as_taken(looks, frame, None if matte is None else color) for way, looks in lights.items()}
         pictures = [picture]
         if align:
-            pictures += draw(
-                [align(frame_camera(frame), target, valid, partial(_photographs, draw, lit["_track_gains"]))]
-            )
+            taken_pictures = partial(_photographs, draw, lit["_track_gains"])
+            pictures += draw([align(frame_camera(frame), target, valid, taken_pictures)])
         renders = []
         for each in pictures:
-            of_way = {
-                "": each.colors,
-                **{way: photograph(each).colors for way, photograph in lit.items() if way in ways},
-            }
+            of_way = {"": each.colors}
+            of_way |= {way: photograph(each).colors for way, photograph in lit.items() if way in ways}
             if photo_effects.appearances:
                 of_way["_fitted"] = np.clip(fit_colors(each.colors, target, valid), 0, 1)
             renders += [of_way[way] for way in ways]

@@ -27,15 +27,7 @@ class Port(NamedTuple):
 
 
 class Graph:
-    """A graph that is loaded and ready: on a GPU where onnxruntime has it, else on the CPU.
-
-    Attributes:
-        file: Where it came from.
-        inputs: What it takes.
-        outputs: What it gives.
-        provider: What it really runs on, as onnxruntime calls it; `device` is the same in short.
-        sha256: Of the file, hexadecimal.
-    """
+    """A graph that is loaded and ready: on a GPU where onnxruntime has it, else on the CPU."""
 
     def __init__(self, file: str | Path):
         """Loads it.
@@ -49,17 +41,13 @@ class Graph:
         self._session = _session(self.file)
         self.inputs = tuple(map(_port, self._session.get_inputs()))
         self.outputs = tuple(map(_port, self._session.get_outputs()))
-        self.provider: str = self._session.get_providers()[0]
+        self.provider: str = self._session.get_providers()[0]  # what it really runs on, as onnxruntime calls it
         self.device = self.provider.removesuffix("ExecutionProvider")
         with self.file.open("rb") as handle:
             self.sha256 = hashlib.file_digest(handle, "sha256").hexdigest()
 
     def __call__(self, feeds: dict[str, np.ndarray], names: list[str] | None = None) -> list[np.ndarray]:
-        """Runs it once.
-
-        Args:
-            feeds: Input name -> array; cast here to the type that the graph takes.
-            names: The outputs wanted; None: all.
+        """Runs it once on arrays by input, cast here to its types, for the named outputs; None: all.
 
         Raises:
             InputError: The graph takes no such arrays, or fails.

@@ -126,12 +126,7 @@ N = TypeVar("N", bound=Network)
 def read_record(
     network: str | Path, records: Mapping[str, N], kind_of: Callable[[Mapping[str, Any]], type[N]]
 ) -> tuple[str, N]:
-    """Return a network's name and record.
-
-    Args:
-        network: A name of `records`, or a JSON file.
-        records: Those that have a name, by it.
-        kind_of: What a file holds -> the kind of record that it is to be read as.
+    """The name and record of a network: a name of `records`, or a JSON file, whose `kind_of` its content says.
 
     Raises:
         InputError: It is neither a known name nor a file, or the file is no such record; names the key.
@@ -275,14 +270,11 @@ def _canvas(size: Size, width: int, height: int, scale: float) -> tuple[int, int
     if size.rule == "tokens":
         assert size.tokens is not None
         counts = [math.sqrt(size.tokens * share) for share in (height / width, width / height)]
-        return _multiples(counts, size.multiple, round)
+    else:
+        counts = [max(1, round(scale * side)) / size.multiple for side in (height, width)]
     # Padding needs room for the whole photo; a stretched one takes the nearest size.
-    counts = [max(1, round(scale * side)) / size.multiple for side in (height, width)]
-    return _multiples(counts, size.multiple, math.ceil if size.fit == "pad" else round)
-
-
-def _multiples(counts, multiple, whole) -> tuple[int, int]:
-    rows, columns = (multiple * max(1, whole(count)) for count in counts)
+    whole = math.ceil if size.rule == "multiple" and size.fit == "pad" else round
+    rows, columns = (size.multiple * max(1, whole(count)) for count in counts)
     return rows, columns
 
 

@@ -25,16 +25,10 @@ COARSEST = 16  # An output may be so many times smaller than the input.
 
 
 class Runner:
-    """Shows frames to a network.
-
-    Attributes:
-        network: The record.
-        graph: What runs.
-        fixed: Height and width that the graph insists on, None where it takes any.
-    """
+    """Shows frames to a network."""
 
     def __init__(self, network: Network, weights: str | Path):
-        """Loads the weights and holds their inputs against the record.
+        """Loads the weights, an ONNX file, and holds their inputs against the record.
 
         Raises:
             InputError: They cannot be loaded, or do not fit the record.
@@ -42,7 +36,7 @@ class Runner:
         self.network, self.graph = network, Graph(weights)
         self._picture, self.layout = _picture_input(network, self.graph)
         sides = self._picture.shape[2:] if self.layout == "NCHW" else self._picture.shape[1:3]
-        self.fixed = (sides[0], sides[1])
+        self.fixed = (sides[0], sides[1])  # height and width that the graph insists on; None where it takes any
         self._extra = _extra_inputs(network, self.graph, self._picture)
 
     def place(self, frame: Frame) -> CanvasFit:

@@ -18,16 +18,7 @@ class Segmenter(Runner):
     network: MaskNetwork
 
     def __init__(self, network: MaskNetwork, weights: str | Path, classes: Sequence[str]):
-        """Loads the weights and holds them against the record.
-
-        Args:
-            network: The record.
-            weights: The network as an ONNX file.
-            classes: Names of the record's classes, see `chosen_classes`.
-
-        Raises:
-            InputError: They cannot be loaded, or do not fit the record.
-        """
+        """As of `Runner`; the classes are names of the record's, see `chosen_classes`."""
         super().__init__(network, weights)
         (name,) = output_names(self.graph, (network.output,))
         self._output = needed_output(self.graph, network.output, name, "classes")

@@ -14,8 +14,7 @@ from gsjax.io import normal_folders
 from gsjax.io.files import folder_if_used
 from gsjax.io.normal_maps import map_places
 from gsjax.io.scenes import load_scene
-from gsjax.networks.depth_normals import DepthNormals
-from gsjax.networks.estimators import DepthEstimator, NormalEstimator
+from gsjax.networks.estimators import DepthEstimator, DepthNormals, NormalEstimator
 from gsjax.networks.records import DEPTH_NETWORKS, NETWORKS, DepthNetwork, NormalNetwork, read_record
 from gsjax.normals.axes import axes_verdict, facing_votes
 from gsjax.normals.fitted_depth import DepthFit

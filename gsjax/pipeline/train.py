@@ -21,9 +21,9 @@ from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.metrics.photos import score_images
 from gsjax.pipeline.training_journal import TrainingJournal
+from gsjax.planning.earlier_runs import shared_steps, take_normals
 from gsjax.planning.preparation import Asked, Loaded, Prepared, ask, load, prepare, report
 from gsjax.planning.start import first_state
-from gsjax.planning.warm_start import shared_steps, take_normals
 from gsjax.rendering.engine import computes_on_cpu
 from gsjax.report.page import report_if_installed
 from gsjax.report.view_pictures import keep_skies, picture_keeper

@@ -42,11 +42,7 @@ def directions(centers: np.ndarray) -> np.ndarray:
 
 
 def cut(places: np.ndarray, count: int) -> list[Cell]:
-    """Cells with as many cameras each, as nearly as may be.
-
-    Args:
-        places: `[V, 2]` of the cameras, along the directions.
-        count: Of cells, 1 at least.
+    """So many cells with as many cameras each, as nearly as may be, by `[V, 2]` places along the directions.
 
     Raises:
         InputError: There are not so many places.
@@ -75,12 +71,6 @@ def _cut(places: np.ndarray, count: int, cell: Cell) -> list[Cell]:
 
 
 def photos_of(cell: Cell, places: np.ndarray, points_of_photos: Sequence[np.ndarray]) -> np.ndarray:
-    """`[V]` bool: the photos that a block is trained on.
-
-    Args:
-        cell: Its cell.
-        places: `[V, 2]` of the cameras.
-        points_of_photos: `[P_v, 2]` places of the points that each photo sees.
-    """
+    """`[V]` bool: the photos that a block is trained on, by `[V, 2]` places of cameras and `[P_v, 2]` of points."""
     sees = [len(points) > 0 and float(cell.holds(points).mean()) >= SEEN for points in points_of_photos]
     return cell.grown(places).holds(places) | np.array(sees)

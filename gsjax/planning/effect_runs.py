@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -34,13 +34,6 @@ Initial = Callable[[Settings, Optimizer, Effects], TrainState]
 """(validation run, optimiser, effects) -> step 0 from the run's points."""
 
 
-class _Program(NamedTuple):
-    """A compiled validation run that simulates any of some effects."""
-
-    variant: Variant
-    effects: Effects  # all of them, each with a switch
-
-
 @dataclass(frozen=True)
 class EffectRuns:
     """What all validation runs of a scene's effects share."""
@@ -58,17 +51,17 @@ class EffectRuns:
 
         The run has the photometric loss alone and no densification.
         """
-        program = self._program
+        variant = self._variant
         start_values = start(self.observations, names)
         on = simulations(start_values, names, _rate)
-        state = self.initial(self.settings, program.variant.optimizer, program.effects)
+        state = self.initial(self.settings, variant.optimizer, variant.effects)
         if state.effects is not None:
-            numbers = {name: self._numbers(name, each, on) for name, each in program.effects.items()}
+            numbers = {name: self._numbers(name, each, on) for name, each in variant.effects.items()}
             state = replace(state, effects=replace(state.effects, numbers=numbers))
         training_frames = [
             _without_pixels(frame, blocks) for frame, blocks in zip(self.frames, self.held_out, strict=True)
         ]
-        state = program.variant.train(training_frames, state, observe)
+        state = variant.train(training_frames, state, observe)
         return self._pictures(state, start_values, names)
 
     def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> Validated:
@@ -85,12 +78,13 @@ class EffectRuns:
         return compared(without, with_effect, photos, valid, held_out)
 
     @cached_property
-    def _program(self) -> _Program:
+    def _variant(self) -> Variant:
+        """A validation run that simulates any of the proposed effects, each with a switch."""
         planned = plan(self.settings).with_effects(self.proposed)
         optimizer = optimizers.make_optimizer(planned.rates, self.extent, planned.steps)
         effects = simulations(start(self.observations, self.proposed), self.proposed, _rate)
         effects = {name: switchable(effect) for name, effect in effects.items()}
-        return _Program(Variant(planned, optimizer, self.extent, effects), effects)
+        return Variant(planned, optimizer, self.extent, effects)
 
     def _numbers(self, name: str, effect: Effect, on: Effects) -> tuple[Array, Any]:
         """The numbers of an effect at step 0, its switch before them; a background that is off has the run's colour."""

@@ -31,13 +31,7 @@ Validate = Callable[[Observations, Sequence[str]], dict[str, Validated]]
 
 
 def steps_of_each(planned: Plan, frames: Sequence[Frame], count: int) -> int | None:
-    """Steps of each validation run of so many effects; None: the run is too short to be validated.
-
-    Args:
-        planned: The run.
-        frames: Its photos.
-        count: Of the effects.
-    """
+    """Steps of each validation run of so many effects; None: the run is too short to be validated."""
     if planned.photos_seen < SHORTEST or not count:
         return None
     whole = planned.views_per_step * sum(phase.steps * relative_cost(phase) for phase in planned.phases)
@@ -97,10 +91,7 @@ def select(
 ) -> dict[str, Validated]:
     """Forward selection: every effect is compared with those that passed before it.
 
-    Args:
-        proposed: The effects, in turn.
-        predict: Effects that are simulated -> pictures.
-        compare: (pictures without an effect, with it) -> its gain.
+    `predict` draws pictures by the effects that are simulated; `compare` is of pictures without an effect and with it.
     """
     passed: tuple[str, ...] = ()
     without, gains = predict(passed), {}

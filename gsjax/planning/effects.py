@@ -11,15 +11,7 @@ import optax
 from tqdm import tqdm
 
 from gsjax.effects import background, blur, sky
-from gsjax.effects.appearance import (
-    Appearance,
-    Start,
-    appearances,
-    light_range,
-    moves,
-    simulations,
-    start,
-)
+from gsjax.effects.appearance import Appearance, Start, appearances, light_range, moves, simulations, start
 from gsjax.effects.diagnosis import Diagnosis
 from gsjax.effects.diagnosis import diagnose as look
 from gsjax.effects.evidence import Evidence
@@ -129,8 +121,8 @@ def choose_effects(
         scene: Its data set, at the size that is trained on.
         validate: Validates, of "auto", what the evidence proposes. None, or a run too short for it: exposure and poses
             alone are simulated, on strong evidence.
-        inspection: What `look_for_effects` findings, if it was asked.
-        skies: Where photos show sky, if masks of it were given; with it a background is taken in.
+        inspection: Of `look_for_effects`, if it was called.
+        skies: Where photos show sky, if masks of it were given; they bring a background.
         with_sky: Whether a sky must be there, whatever `request` names.
         before: The manifest's record of what was decided when this run began; nothing is validated again.
 
@@ -146,10 +138,11 @@ def choose_effects(
     is_auto, with_sky = request == AUTO, with_sky or "sky" in named_effects(request)
     selection, validated = set(named_effects(request)) - {"sky"}, {}
     is_on = selection if not is_auto else {name for name in PROPOSED if findings.effects[name].on}
-    if _is_laid(findings, plan, is_on & {*SIMULATED}):
-        findings = replace(
-            findings, effects=findings.effects | {"background": _laid(findings.effects["background"], plan)}
-        )
+    behind = findings.effects["background"]
+    if behind.on and _is_laid(findings, plan, is_on & {*SIMULATED}):
+        note = f"off: --background {plan.background} lays that colour there; {behind.note}"
+        laid = {"background": behind._replace(on=False, note=note)}
+        findings = replace(findings, effects=findings.effects | laid)
     if is_auto:
         named = {"sky"} if with_sky or skies is not None else set()
         proposed = [name for name in PROPOSED if findings.effects[name].on and name not in named]
@@ -203,12 +196,9 @@ def _decided(
     doubtful = [name for name in proposed if name not in certain]
     validated = validate(findings.observations, doubtful) if validate and doubtful else {}
     if not validated:
-        return certain | {name for name in doubtful if name in UNVALIDATED and _is_strong(findings.effects[name])}, {}
+        evidence = {name: findings.effects[name] for name in doubtful if name in UNVALIDATED}
+        return certain | {name for name, each in evidence.items() if (each.value or 0) > STRICTER * each.threshold}, {}
     return certain | {name for name, each in validated.items() if each.passes}, validated
-
-
-def _is_strong(evidence: Evidence) -> bool:
-    return evidence.value is not None and evidence.value > STRICTER * evidence.threshold
 
 
 def _noted(
@@ -256,12 +246,6 @@ def _is_laid(findings: Diagnosis, plan: Plan, light: Collection[str]) -> bool:
         return False
     reached = light_range(start(findings.observations, light), findings.observations.frames, light)
     return background.is_one(findings.observations, _PLAIN[plan.background], *reached)
-
-
-def _laid(evidence: Evidence, plan: Plan) -> Evidence:
-    """The evidence of a sky whose one colour the run lays under its renders anyway: nothing is left to simulate."""
-    note = f"off: --background {plan.background} lays that colour there; {evidence.note}"
-    return evidence._replace(on=False, note=note) if evidence.on else evidence
 
 
 def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:

@@ -31,14 +31,9 @@ class Fitted(NamedTuple):
 def fit_to_memory(planned: Plan, frames: Sequence[Frame], folder: Path, *, may_lower: bool) -> Fitted:
     """The run as this machine's memory bears it.
 
-    Photos and maps that do not fit next to the Gaussians lie on the disk, from where each step reads its own: the
-    numbers are the same. Where the Gaussians alone do not fit, fewer may grow. A GPU's own memory is not considered.
-
-    Args:
-        planned: The run.
-        frames: Its photos.
-        folder: On the disk that photos may lie on.
-        may_lower: Whether fewer Gaussians than planned may be the way: not of a run that is resumed.
+    Photos and maps that do not fit next to the Gaussians lie on the disk of `folder`, from where each step reads its
+    own: the numbers are the same. Where the Gaussians alone do not fit, fewer may grow (`may_lower`), though not in a
+    run that is resumed. A GPU's own memory is not considered.
     """
     rows = planned.max_gaussians if computes_on_cpu() else 0
     free = free_memory()
@@ -53,14 +48,9 @@ def fit_to_memory(planned: Plan, frames: Sequence[Frame], folder: Path, *, may_l
 def keep_photos(
     photos: int, frames: Sequence[Frame], rows: int, folder: Path, free: int
 ) -> tuple[Keep, tuple[str, ...]]:
-    """Where photos lie: in memory if they fit there, and else on the disk, with a line that says so.
+    """Where so many bytes of photos and their maps lie: in memory if they fit there, else on the disk, with a line.
 
-    Args:
-        photos: Bytes of them, and of what is made of them.
-        frames: The photos.
-        rows: Gaussians in the same memory.
-        folder: On the disk that they may lie on.
-        free: Bytes of memory.
+    `rows` are Gaussians in the same memory, of which so many bytes are free.
     """
     gaussians = A_ROW * rows
     if PROGRAMS + _step_bytes(frames) + gaussians + photos <= free:

@@ -16,16 +16,15 @@ from gsjax.effects.simulation import Effects
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.planning import sparse_view_trial
+from gsjax.planning.depth_supervision import measured_depth, stereo_supervision
+from gsjax.planning.earlier_runs import pieces_record, require_pieces
 from gsjax.planning.effect_validation import EffectValidation
 from gsjax.planning.effects import ChosenEffects, Looked, choose_effects, look_for_effects
-from gsjax.planning.measured_depth import Depths, measured_depth
 from gsjax.planning.memory import Fitted, fit_to_memory
-from gsjax.planning.pieces import pieces_record, require_pieces
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.sparse_views import ENTRY, Decision, Gain, for_sparse_views
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
-from gsjax.planning.stereo_supervision import stereo_supervision
 from gsjax.rendering.engine import engine_here
 from gsjax.runs.normal_source import NormalSource, note_normals
 from gsjax.runs.processes import is_first, same_everywhere
@@ -36,6 +35,7 @@ from gsjax.settings import AUTO, Settings
 from gsjax.stereo import StereoMaps, depths_of_photos
 from gsjax.training.data_parallel import Devices, device_mesh
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
+from gsjax.training.loop import Depths
 from gsjax.training.plan import Plan, check_terms, plan
 from gsjax.training.state import TrainState
 from gsjax.training.terms import Term

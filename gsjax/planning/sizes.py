@@ -25,12 +25,8 @@ def at_size(
 ) -> tuple[Scene, float, str]:
     """The data set at the size that a run reads, how many times smaller that is, and the line that says it.
 
-    Args:
-        scene: Folder of the data set.
-        photos: Which photos, and at what size.
-        steps: That the run takes, for the line.
-        downscale: What was chosen before; None: it is chosen now.
-        run: One that was trained on the same data set, whose split, coordinates and world are taken.
+    A `downscale` that was chosen before stays. A `run` that was trained on the same data set gives its split,
+    coordinates and world.
     """
     split = run.split if run else {}
     opened = partial(
@@ -78,13 +74,8 @@ def training_extent(scene: Scene) -> float:
 def chosen_downscale(photos: Photos, frames: Sequence[Frame], *, on_cpu: bool | None = None) -> float:
     """How many times smaller the photos become: what the user said, else what the largest of them needs.
 
-    Its longer side is brought to `photos.longest_side` (1600 pixels, as 3DGS does), and on a CPU its area to
-    `photos.cpu_pixels` where the preset has that.
-
-    Args:
-        photos: The size that the settings request.
-        frames: Photos as they were taken.
-        on_cpu: Where it runs. None: as jax says.
+    Its longer side is brought to `photos.longest_side` (1600 pixels, as 3DGS does), and on a CPU (None: as jax says)
+    its area to `photos.cpu_pixels` where the preset has that.
     """
     if photos.downscale is not None:
         return photos.downscale

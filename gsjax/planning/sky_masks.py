@@ -10,11 +10,7 @@ from gsjax.settings import AUTO, NONE
 def read_sky_masks(scene: Scene, folder: str | None, images: str | None, downscale: float) -> Masks | None:
     """Where photos show sky, by the masks in a folder; None where no folder is named.
 
-    Args:
-        scene: As it is trained on.
-        folder: Of the masks, within the data set or absolute; None or "auto": there are none.
-        images: Folder of the photos, as `gsjax.settings.Photos` has it.
-        downscale: How many times smaller its photos are than they were taken.
+    `folder` is within the data set or absolute. The scene's photos are `downscale` times smaller than they were taken.
 
     Raises:
         InputError: There is no such folder, it has no mask of any photo, or one does not fit its photo.

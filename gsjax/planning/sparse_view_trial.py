@@ -40,12 +40,9 @@ def gain(scene: Scene, settings: Settings, change: Callable[[Plan], Plan]) -> Ga
     """The gain of a changed plan on photos that training has not seen: decibels, and the error of depth.
 
     Each fold trains `quick` in few steps on small photos, with the change and without, and scores the photos that it
-    holds out. Depth is compared with that of the points that were matched in them. Deterministic.
-
-    Args:
-        scene: The data set, with five training photos at least. Its own held-out photos take no part.
-        settings: The run, whose points, seed, background and kind of Gaussians the validation runs have.
-        change: The plan of a validation run -> the changed plan.
+    holds out. Depth is compared with that of the points that were matched in them. Deterministic. There must be five
+    training photos; the scene's own held-out ones take no part. Points, seed, background and kind of Gaussians are
+    those of the run's settings.
 
     Raises:
         InputError: A photo or the tracks cannot be read.
@@ -90,13 +87,7 @@ def score_variant(
 ) -> list[Score]:
     """Scores of a scene's held-out photos after a validation run on the others.
 
-    Args:
-        variant: What is trained.
-        scene: Its photos.
-        depths: Computes stereo depth of those that are trained on.
-        settings: Of the validation run.
-        matched: Name of a photo -> `[P, 3]` matched points.
-        observe: Called after every step.
+    `depths` computes stereo depth of those that are trained on; `matched` has `[P, 3]` points by the photo's name.
     """
     started, _ = with_stereo_points(scene, variant.plan, depths)
     model = replace(settings.model, max_gaussians=variant.plan.max_gaussians)

@@ -106,13 +106,9 @@ def for_sparse_views(
     (`experiments/results/few_photos.md`). So validation runs decide: by PSNR where its difference is significant, else
     by the depth of matched points.
 
-    Args:
-        planned: The run.
-        scene: Its data set.
-        schedule: Whether sparse views are regularized; never in vanilla 3DGS.
-        trial: Measures the gain. None: the angle between the photos decides, from `FAR_APART` on.
-        before: The decision that was made when this run began.
-        may_lower: Whether Gaussians may be fewer than planned: not in a run that resumes.
+    Vanilla 3DGS is never regularized. Without a `trial` the angle between the photos decides, from `FAR_APART` on.
+    `before` is the decision that was made when this run began. A run that resumes keeps its number of Gaussians: no
+    `may_lower`.
 
     Raises:
         InputError: The tracks or photos cannot be read, or the tracks name points that the scene does not have.
@@ -158,9 +154,6 @@ def angle_between_photos(scene: Scene) -> float | None:
 
     Of every point the median over the training photos that it was matched in, then the median over points; None where
     no point was matched in two of them.
-
-    Args:
-        scene: A loaded data set.
 
     Raises:
         InputError: The tracks cannot be read, or name points that the scene does not have.

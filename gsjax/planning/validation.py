@@ -45,11 +45,7 @@ def image_scale(frames: Sequence[Frame], side: int = SIDE) -> int:
 def short_settings(settings: Settings, frames: Sequence[Frame], points: int, side: int = SIDE) -> Settings:
     """The settings of a validation run: `quick` in few steps on small photos, with the run's seed and background.
 
-    Args:
-        settings: The run.
-        frames: Its photos.
-        points: Number of matched points.
-        side: Pixels of the longest photo, about.
+    `points` is the number of matched points; `side` is that of the longest photo, pixels, about.
     """
     scale = image_scale(frames, side)
     pixels = max(frame.width * frame.height for frame in frames) / scale**2
@@ -69,16 +65,9 @@ class Variant:
     """One way to train. All its validation runs share their buffers and their compiled programs."""
 
     def __init__(self, plan: Plan, optimizer: Optimizer, extent: float, effects: Effects = NO_EFFECTS):
-        """Before the first run.
-
-        Args:
-            plan: The validation run.
-            optimizer: That makes its states.
-            extent: Camera extent of all training cameras, scene units.
-            effects: Those that are simulated, of the photos that the runs are trained on.
-        """
-        self.plan, self.optimizer = plan, optimizer
-        self._extent, self._effects = extent, effects
+        """Before the first run. The fields mean what those of `gsjax.training.loop.Work` do."""
+        self.plan, self.optimizer, self.effects = plan, optimizer, effects
+        self._extent = extent
         self._capacity: int | None = None  # of the pair buffer, as the last run left it
         self._make_step = _kept_steps(effects) if effects else kept_step  # which keeps such steps for all variants
 
@@ -95,7 +84,7 @@ class Variant:
             self._extent,
             self.optimizer,
             observe=note,
-            effects=self._effects,
+            effects=self.effects,
             make_step=self._make_step,
         )
         return follow(work, state, self._capacity)
@@ -144,16 +133,12 @@ def compared(
     a few steps do not reach the scene's brightness, and an effect that darkens all photos would seem right. A pixel
     that both miss by far is left out of both scores: it shows what no other photo shows.
 
-    Args:
-        without: `[H, W, 3]` pictures without the change, one a photo.
-        with_change: The same with it.
-        photos: What was photographed.
-        valid: `[H, W]` bool, which pixels may be used.
-        held_out: `[H, W]` bool, which of them are scored.
+    All are of one photo each: `[H, W, 3]` pictures without the change and with it, and photos; `[H, W]` bool of pixels
+    that are `valid`, and of those that are scored (`held_out`).
     """
     fit_pixels = [usable & ~out for usable, out in zip(valid, held_out, strict=True)]
     scored = [usable & out for usable, out in zip(valid, held_out, strict=True)]
-    both = [_errors(_fitted(pictures, photos, fit_pixels), photos) for pictures in (without, with_change)]
+    both = [_errors(pictures, photos, fit_pixels) for pictures in (without, with_change)]
     least = [np.minimum(*pair) for pair in zip(*both, strict=True)]
     pooled = np.concatenate([error[pixels] for error, pixels in zip(least, scored, strict=True)])
     most = transients.REACH**2 * np.quantile(pooled, transients.QUANTILE) if len(pooled) else 0.0
@@ -165,16 +150,12 @@ def compared(
     return Validated(*mean_and_error(gains)) if len(gains) > 1 else Validated(0.0, 0.0)
 
 
-def _fitted(
+def _errors(
     pictures: Sequence[np.ndarray], photos: Sequence[np.ndarray], fit_pixels: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
+    """`[H, W]` mean squared differences of the channels, after one factor per channel that fits some pixels."""
     triples = list(zip(pictures, photos, fit_pixels, strict=True))
     products = np.sum([(picture[there] * photo[there]).sum(0) for picture, photo, there in triples], axis=0)
     squares = np.sum([np.square(picture[there]).sum(0) for picture, _, there in triples], axis=0)
     factor = np.where(squares > 0, products / np.where(squares > 0, squares, 1), 1)
-    return [picture * factor for picture in pictures]
-
-
-def _errors(pictures: Sequence[np.ndarray], photos: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """`[H, W]` mean squared differences of the channels."""
-    return [np.square(np.clip(p, 0, 1) - photo).mean(-1) for p, photo in zip(pictures, photos, strict=True)]
+    return [np.square(np.clip(picture * factor, 0, 1) - photo).mean(-1) for picture, photo, _ in triples]

@@ -94,22 +94,9 @@ def _next_count(state: TrainState, *, rule: DensificationRule, density: Density,
 
 
 def with_room_to_densify(
-    state: TrainState,
-    optimizer: Optimizer,
-    density: Density,
-    most: int,
-    *,
-    rule: DensificationRule,
+    state: TrainState, optimizer: Optimizer, density: Density, most: int, *, rule: DensificationRule
 ) -> TrainState:
-    """The state in buffers that hold what the next densification makes of it, as far as `most` allows.
-
-    Args:
-        state: Before the densification.
-        optimizer: The transformation that made the state.
-        density: As `gsjax.training.state.densify` gets it.
-        most: The most Gaussians.
-        rule: Which Gaussians split, are cloned and pruned.
-    """
+    """The state in buffers that hold what the next densification makes of it, as far as `most` Gaussians allow."""
     rows = state.gaussians.num_gaussians
     if rows >= most:
         return state

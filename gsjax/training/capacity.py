@@ -53,21 +53,18 @@ def rounded_capacity(needed: int, headroom: float) -> int:
 def kept_or(length: int, headroom: float, before: int | None) -> int:
     """The buffer of before, whose programs are compiled, where it is no longer than `length` and will not be too short.
 
-    Args:
-        length: `headroom` times what is needed.
-        headroom: Of `length`.
-        before: The length of a buffer; None: there is none.
+    `length` is `headroom` times what is needed.
     """
     return before if before is not None and STILL * length / headroom <= before <= length else length
 
 
 def is_compiled_anew(before: Any, state: Any) -> bool:
     """Whether a state's buffers are of other lengths than before, so that the next step is another program."""
-    return state is not before and _shapes(state) != _shapes(before)
 
+    def shapes(tree: Any) -> list[tuple[int, ...]]:
+        return [np.shape(leaf) for leaf in jax.tree.leaves(tree)]
 
-def _shapes(state: Any) -> list[tuple[int, ...]]:
-    return [np.shape(leaf) for leaf in jax.tree.leaves(state)]
+    return state is not before and shapes(state) != shapes(before)
 
 
 def can_stream(state: Any, data: Batches, view_share: float) -> bool:

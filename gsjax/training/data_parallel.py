@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.experimental import multihost_utils
@@ -26,11 +25,7 @@ Devices = int | Literal["all"]
 
 
 def count_devices(devices: Devices) -> int:
-    """How many devices are meant.
-
-    Raises:
-        InputError: There are not so many.
-    """
+    """How many devices are meant; InputError where there are not so many."""
     there = jax.devices()
     count = len(there) if devices == "all" else devices
     if count > len(there):
@@ -83,26 +78,6 @@ def on_mesh(step: Callable[..., T], mesh: Mesh) -> Callable[..., T]:
     specs = EVERYWHERE, BY_VIEWS, EVERYWHERE
     # The check of replication does not follow loops whose values differ between devices.
     return jax.shard_map(step, mesh=mesh, in_specs=specs, out_specs=EVERYWHERE, check_vma=False)
-
-
-def sum_over_devices(tree: T) -> T:
-    """Inside `on_mesh`: the sums of the arrays over all devices."""
-    return jax.lax.psum(tree, AXIS)
-
-
-def mean_over_views(values: Array) -> Array:
-    """Inside `on_mesh`: the mean over the views of all devices, of one number for each view."""
-    return jax.lax.pmean(jnp.mean(values), AXIS)
-
-
-def largest_over_views(values: Array) -> Array:
-    """Inside `on_mesh`: the largest of one number for each view of all devices."""
-    return jax.lax.pmax(jnp.max(values), AXIS)
-
-
-def num_views(values: Array) -> int:
-    """Inside `on_mesh`: how many views all devices have, given one number for each view of this device."""
-    return values.shape[0] * jax.lax.axis_size(AXIS)
 
 
 def of_first_process(number: int) -> int:

@@ -18,13 +18,7 @@ def leave_out(gaussians: Gaussians, share: float, key: Array) -> Gaussians:
     expectation of every opacity stays, as far as it is below 1 - share: what is more opaque has no gradient to its
     opacity, and does not become more so. After DropGaussian (Park, Ryu and Kim, CVPR 2025), whose share grows.
 
-    Args:
-        gaussians: The scene, `[N]` rows.
-        share: Above 0 and below 1.
-        key: Random key of this step.
-
-    Returns:
-        As many rows; those that are left out are drawn as little as free rows are, without gradient. Differentiable.
+    Differentiable. Rows that are left out are drawn as little as free rows are, without gradient.
     """
     stays = jax.random.uniform(key, (gaussians.num_gaussians,), jnp.float32) >= share
     safe = replace(gaussians, logit_opacities=jnp.maximum(gaussians.logit_opacities, DEAD_LOGIT))

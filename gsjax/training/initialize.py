@@ -23,15 +23,8 @@ def far_points(points: np.ndarray, frames: Sequence[Frame], count: int) -> np.nd
     """Points on three spheres around cameras and cloud, where a photo has them in view, for backgrounds.
 
     What lies far behind a subject is seldom matched. Gaussians that stand in front of it, before the cameras on the
-    other side, are then made to show it, and those cameras look through them as through fog.
-
-    Args:
-        points: `[P, 3]` the cloud, world.
-        frames: The photos that are trained on.
-        count: Points on all spheres together; those that no photo sees are left out.
-
-    Returns:
-        `[Q, 3]` float32, Q at most `count`.
+    other side, are then made to show it, and those cameras look through them as through fog. Of `count` points on all
+    spheres those that no photo sees are left out.
     """
     eyes = np.stack([viewmat_center(frame.viewmat) for frame in frames])
     middle = np.median(points, axis=0)

@@ -20,13 +20,12 @@ from gsjax.training import buffers, data_parallel
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DensificationRule
-from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
-from gsjax.training.stepping import Feed, advance, one_view, several_views, view_order
-from gsjax.training.terms import Term, Weighed, comparable_terms
+from gsjax.training.stepping import Feed, advance, faulty_terms, one_view, photo_of, several_views, view_order
+from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
@@ -56,11 +55,9 @@ def kept_step(optimizer: Optimizer, terms: tuple[Weighed, ...], *, effects: Effe
     A term whose function is another is another argument. Effects bring numbers of their run, so that steps with them
     are made anew.
     """
-    return (
-        make_train_step(optimizer, terms, effects=effects, **how)
-        if effects
-        else _shared_train_step(optimizer, terms, **how)
-    )
+    if effects:
+        return make_train_step(optimizer, terms, effects=effects, **how)
+    return _shared_train_step(optimizer, terms, **how)
 
 
 @dataclass(frozen=True)
@@ -91,53 +88,28 @@ def fit(
     state: TrainState,
     optimizer: Optimizer,
     *,
-    prior: NormalsPrior | None = None,
-    observe: Callable[[Progress], None] = lambda progress: None,
     terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     densification: DensificationRule | None = None,
     effects: Effects = NO_EFFECTS,
-    depths: Depths | None = None,
     capacity: int | None = None,
+    **shared: Any,
 ) -> TrainState:
-    """Plan a run on one device and follow the plan from `state.step` on.
+    """Plan a run with its own terms and rule, see `gsjax.training.plan.plan`, and `follow` the plan.
 
-    Args:
-        settings: The run.
-        frames: As in `Work`.
-        extent: As in `Work`.
-        state: Where to start; step 0 or a checkpoint. Its buffers are taken.
-        optimizer: The transformation that made the state.
-        prior: As in `Work`; None where no term needs normals.
-        observe: As in `Work`.
-        terms: The run's own terms of the loss, see `gsjax.training.plan.plan`.
-        densification: The run's own rule, see `gsjax.training.plan.plan`.
-        effects: Those that are simulated; the state is made for them.
-        depths: As in `Work`.
-        capacity: Pair buffer to continue with; None counts.
-
-    Returns:
-        The final state.
+    `shared` are further fields of `Work`.
 
     Raises:
-        InputError: A weight has no term, a term cannot be computed, a loss or a gradient is not finite, or the device
-            has no room for so many Gaussians at this size.
+        InputError: A weight has no term, a term cannot be computed, or as of `follow`.
     """
     planned = plan(settings, terms, tuple(effects), densification)
-    work = Work(planned, frames, extent, optimizer, prior=prior, observe=observe, effects=effects, depths=depths)
-    check_terms(work.plan, frames)
-    return follow(work, state, capacity)
+    check_terms(planned, frames)
+    return follow(Work(planned, frames, extent, optimizer, effects=effects, **shared), state, capacity)
 
 
 def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainState:
-    """Run all phases of a plan from `state.step` on.
+    """The final state after all phases of a plan from `state.step` on, of step 0 or a checkpoint.
 
-    Args:
-        work: The plan, and what its phases share.
-        state: Where to start; step 0 or a checkpoint. Its buffers are taken.
-        capacity: Pair buffer to continue with; None counts.
-
-    Returns:
-        The final state.
+    The state's buffers are taken. `capacity` is the pair buffer to continue with; None counts.
 
     Raises:
         InputError: A loss or a gradient is not finite, or the device has no room for so many Gaussians at this size.
@@ -215,7 +187,9 @@ class PhaseRun:
 
     def run(self, state: TrainState, done: int, capacity: int) -> tuple[TrainState, int]:
         """The state after all steps of the phase, and the pair buffer that they needed; `done` steps are behind it."""
-        work, phase = self.work, self.phase
+        work, phase, feed = self.work, self.phase, one_view
+        if work.mesh is not None:
+            feed = partial(several_views, mesh=work.mesh, views_per_step=work.plan.views_per_step)
         return advance(
             self._compiled,
             self._after,
@@ -225,7 +199,7 @@ class PhaseRun:
             seed=work.plan.seed,
             capacity=capacity,
             room=headroom(grows=phase.rule is not None),
-            feed=_feed_of(self.views, _feed(work), phase.surface_every),
+            feed=_feed_of(self.views, feed, phase.surface_every),
             looks=self._looks if work.looks else None,
             explain=self._explain,
         )
@@ -234,10 +208,13 @@ class PhaseRun:
     def _key(self) -> Array:
         return jax.random.key(self.work.plan.seed)
 
-    def _comparable(self, terms: Sequence[Weighed]) -> tuple[Weighed, ...]:
-        return comparable_terms(tuple(terms), has_mattes=self.views.image.has_mattes)
+    def _comparable(self, terms: tuple[Weighed, ...]) -> tuple[Weighed, ...]:
+        """The terms without those that need the mattes that photos lack."""
+        if self.views.image.has_mattes:
+            return terms
+        return tuple(each for each in terms if "matte" not in each.term.needs)
 
-    def _step_of(self, terms: Sequence[Weighed], capacity: int) -> TrainStep:
+    def _step_of(self, terms: tuple[Weighed, ...], capacity: int) -> TrainStep:
         work, phase, plan = self.work, self.phase, self.work.plan
         return work.make_step(
             work.optimizer,
@@ -293,13 +270,6 @@ class PhaseRun:
             or _ends_densification(plan, phase, step)
         )
         return grows or (self.work.looks is not None and self.work.looks(step))
-
-
-def _feed(work: Work) -> Feed:
-    """How the photos of a step reach the devices."""
-    if work.mesh is None:
-        return one_view
-    return partial(several_views, mesh=work.mesh, views_per_step=work.plan.views_per_step)
 
 
 def _feed_of(views: Views, feed: Feed, count: int) -> Feed:

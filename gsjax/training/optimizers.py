@@ -75,13 +75,8 @@ class Adam:
 def make_optimizer(rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1) -> Adam:
     """Adam (0.9, 0.999) per field of `Gaussians`; the rate of the means falls log-linearly to `MEANS_FINAL`.
 
-    The other rates stay, or fall to `rates.final_share` of themselves in the last third.
-
-    Args:
-        rates: Per field; those of the means are times `extent`.
-        extent: Camera extent, scene units.
-        decay_steps: Optimiser steps over which rates fall.
-        views_per_step: Photos that a step takes: moments forget as much a photo, whatever that is.
+    The other rates stay, or fall to `rates.final_share` of themselves in the last third of `decay_steps`. The means'
+    are times the camera extent, scene units. Moments forget as much a photo, whatever a step has of them.
     """
     final = math.sqrt(views_per_step) * MEANS_FINAL
     of_means = optax.exponential_decay(
@@ -128,17 +123,7 @@ def map_moments(optimizer: Optimizer, f, state: Any) -> Any:
 
 
 def rearrange_moments(optimizer: Optimizer, state: Any, source: Array, fresh: Array) -> Any:
-    """Moments follow their Gaussian: row i takes those of row `source[i]`, or zero where `fresh[i]`.
-
-    Args:
-        optimizer: The transformation that made `state`.
-        state: Its state.
-        source: `[N]` int32.
-        fresh: `[N]` bool.
-
-    Returns:
-        The state; counts and schedules are untouched.
-    """
+    """Moments follow their Gaussian: row i has those of row `source[i]` (`[N]` int32), or zero where `fresh[i]`."""
 
     def rearranged(moment):
         keep = (~fresh).reshape(-1, *[1] * (moment.ndim - 1))

@@ -163,12 +163,7 @@ def phase_record(
 ) -> dict[str, Any]:
     """A phase as `plan.json` has it, of a training or a refinement: what every reader relies on, then what is known.
 
-    Args:
-        name: Of the phase.
-        steps: How many it has.
-        terms: Weights of the terms of its loss.
-        needs: What they need, words of `gsjax.training.terms.NEEDS`.
-        more: What else is known of it.
+    `terms` are weights by name; `needs` are words of `gsjax.training.terms.NEEDS`.
     """
     return {"name": name, "steps": steps, "terms": dict(terms), "needs": sorted(needs), **more}
 
@@ -176,14 +171,7 @@ def phase_record(
 def plan_record(
     phases: Sequence[Mapping[str, Any]], downscale: float, normals: str | None, **more: Any
 ) -> dict[str, Any]:
-    """What `plan.json` holds, see `phase_record`; `gsjax.runs.records.PLAN` is the shape that it is read in.
-
-    Args:
-        phases: Their records, in order.
-        downscale: Photos are so many times smaller than they were taken.
-        normals: Folder of the normal maps, if any are given.
-        more: What else is known of the run.
-    """
+    """What `plan.json` holds, see `phase_record` and `Plan`; `gsjax.runs.records.PLAN` is the shape of it."""
     steps = sum(phase["steps"] for phase in phases)
     return {"steps": steps, "downscale": downscale, "normals": normals, **more, "phases": list(phases)}
 
@@ -219,9 +207,9 @@ def plan(
 
     Args:
         settings: Of the user.
-        terms: The run's own loss terms by name, besides the library's or in their place. Of a bare function it is
-            found out what it needs.
-        effects: Names of those that are simulated: masks of transients delay densification.
+        terms: The run's own loss terms by name, in addition to the library's or in their place. What a bare function
+            needs is found out.
+        effects: Names of those that are simulated.
         densification: The run's own rule; None: the one that `density.rule` names.
 
     Raises:
@@ -231,14 +219,12 @@ def plan(
     phases, begin = [], 0
     for phase in settings.schedule.phases:
         phase_terms = _weighed(settings, phase, all_terms)
-        if not settings.supervision.has_depth and "measured" in needs(phase_terms):
-            named = next(each.name for each in phase_terms if "measured" in needs([each]))
-            raise InputError(f"schedule.phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
-        if "sky" in needs(phase_terms):
-            named = next(each.name for each in phase_terms if "sky" in needs([each]))
-            raise InputError(
-                f"schedule.phases.{phase.name}.weights.{named}: effects.sky_weight weighs it where photos show sky"
-            )
+        for each in phase_terms:
+            where = f"schedule.phases.{phase.name}.weights.{each.name}"
+            if not settings.supervision.has_depth and "measured" in each.term.needs:
+                raise InputError(f"{where}: needs measured depth, --depth DIR")
+            if "sky" in each.term.needs:
+                raise InputError(f"{where}: effects.sky_weight weighs it where photos show sky")
         end = begin + _fewer(phase.steps, settings.schedule.views_per_step)
         cull = 0.0 if settings.schedule.vanilla else phase.cull_below
         planned = PlannedPhase(
@@ -275,12 +261,6 @@ def plan(
 
 def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
     """Try the run's own terms on the shapes that they will see, each by itself, before anything is read or compiled.
-
-    Those of the library are tested.
-
-    Args:
-        planned: The run.
-        frames: Its photos, of which only the sizes are read.
 
     Raises:
         InputError: A term reads what it does not need, fails, or is not one float.

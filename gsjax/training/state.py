@@ -11,7 +11,7 @@ from jaxtyping import Int32
 
 from gsjax.effects import simulation
 from gsjax.effects.simulation import NO_EFFECTS, Effects, EffectState
-from gsjax.gaussians import Gaussians, is_alive
+from gsjax.gaussians import Gaussians, is_alive, opacities
 from gsjax.settings import Density
 from gsjax.training import optimizers
 from gsjax.training.densification import gradient_driven
@@ -64,20 +64,9 @@ def densify(
 ) -> TrainState:
     """Densify within `budget` Gaussians; moments follow their Gaussian, statistics start anew.
 
-    The state is donated: its arrays are deleted, and only the returned state can be used from here on.
-
-    Args:
-        state: Its statistics are those of the rule.
-        key: Random key of the run; the step is folded into it.
-        extent: Camera extent, scene units.
-        prune_large: `[]` bool, whether size prunes.
-        optimizer: The transformation that made the state.
-        density: Thresholds.
-        budget: The most Gaussians.
-        rule: Which Gaussians split, are cloned and pruned.
-
-    Returns:
-        The state afterwards, in arrays of the same shapes.
+    The state is donated: its arrays are deleted, and only the returned state, of the same shapes, can be used from here
+    on. Its statistics are those of the rule. The step is folded into the run's random key. `extent` is that of the
+    cameras, scene units; `prune_large`, a `[]` bool, says whether size prunes.
     """
     count = rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
     gaussians, moved = rule.densify(
@@ -96,10 +85,7 @@ def densify(
 
 @partial(jax.jit, static_argnames=("optimizer", "limit"), donate_argnums=0)
 def reset_opacities(state: TrainState, *, optimizer: Optimizer, limit: float) -> TrainState:
-    """Cap the opacities at `limit` and forget their moments.
-
-    The state is donated: its arrays are deleted, and only the returned state can be used from here on.
-    """
+    """Cap the opacities at `limit` and forget their moments. The state is donated, see `densify`."""
     capacity = state.gaussians.num_gaussians
     # The opacities' moments are the only per-Gaussian arrays of rank 1.
     opt_state = optimizers.map_moments(
@@ -111,23 +97,18 @@ def reset_opacities(state: TrainState, *, optimizer: Optimizer, limit: float) ->
 
 @partial(jax.jit, static_argnames=("optimizer", "min_opacity"), donate_argnums=0)
 def cull(state: TrainState, *, optimizer: Optimizer, min_opacity: float) -> TrainState:
-    """Remove Gaussians of an opacity under `min_opacity`: their rows are free. The moments of the others stay.
-
-    The state is donated: its arrays are deleted, and only the returned state can be used from here on.
-    """
-    return _with_fewer(state, gradient_driven.cull(state.gaussians, min_opacity), optimizer)
+    """Free the rows of an opacity under `min_opacity`; other moments stay. The state is donated, see `densify`."""
+    return _with_fewer(state, opacities(state.gaussians) < min_opacity, optimizer)
 
 
 @partial(jax.jit, static_argnames="optimizer", donate_argnums=0)
 def remove(state: TrainState, mask: Array, *, optimizer: Optimizer) -> TrainState:
-    """Remove the Gaussians of `mask`, `[N]` bool: their rows are free. The moments of the others stay.
-
-    The state is donated: its arrays are deleted, and only the returned state can be used from here on.
-    """
-    return _with_fewer(state, gradient_driven.kill(state.gaussians, mask), optimizer)
+    """Free the rows of `mask`, `[N]` bool; other moments stay. The state is donated, see `densify`."""
+    return _with_fewer(state, mask, optimizer)
 
 
-def _with_fewer(state: TrainState, gaussians: Gaussians, optimizer: Optimizer) -> TrainState:
+def _with_fewer(state: TrainState, mask: Array, optimizer: Optimizer) -> TrainState:
+    gaussians = gradient_driven.kill(state.gaussians, mask)
     rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
     opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~is_alive(gaussians))
     return replace(state, gaussians=gaussians, opt_state=opt_state)

@@ -152,7 +152,9 @@ class _Objective:
         if beside is not None:
             beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
             neighbor = multi_view.render_neighbor(remaining, beside, self.capacity, self.depth_mode)
-            view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
+            view = view._replace(neighbor=neighbor)
+            longest = jnp.maximum(pairs.needed, neighbor.pairs.needed)
+            pairs = pairs._replace(needed=longest, overflowed=pairs.overflowed | neighbor.pairs.overflowed)
         total, losses, error = weighted_loss(self.terms, self.rule, gaussians, view, batch)
         total = total if added is None else total + added
         return total, (losses, error, view.splats.projection, pairs)
@@ -207,8 +209,8 @@ def make_train_step(
         numbers = None if state.effects is None else state.effects.numbers
         zeros = jax.tree.map(jnp.zeros_like, (_Free(state.gaussians, None, numbers), state.statistics))
         sums, of_views = jax.lax.scan(add_view, zeros, views)
-        gradients, added = data_parallel.sum_over_devices(sums)
-        count = data_parallel.num_views(of_views.loss)
+        gradients, added = jax.lax.psum(sums, data_parallel.AXIS)
+        count = of_views.loss.shape[0] * jax.lax.axis_size(data_parallel.AXIS)
         metrics = _of_all_views(of_views, capacity)
         statistics = jax.tree.map(jnp.add, state.statistics, added)
         return jax.tree.map(lambda total: total / count, gradients), Outcome(metrics, metrics.overflowed, statistics)
@@ -236,17 +238,17 @@ def make_train_step(
 
 def _of_all_views(metrics: Metrics, capacity: int) -> Metrics:
     """What a step over the views of all devices reports, from the `[K]` metrics of each view of this device."""
-    loss, psnr, terms = jax.tree.map(data_parallel.mean_over_views, (metrics.loss, metrics.psnr, metrics.terms))
-    needed = data_parallel.largest_over_views(metrics.needed)
+
+    def mean(values: Array) -> Array:
+        return jax.lax.pmean(jnp.mean(values), data_parallel.AXIS)
+
+    loss, psnr, terms = jax.tree.map(mean, (metrics.loss, metrics.psnr, metrics.terms))
+    needed = jax.lax.pmax(jnp.max(metrics.needed), data_parallel.AXIS)
     return Metrics(loss, psnr, needed, needed > capacity, terms)
 
 
 def weighted_loss(
-    terms: Sequence[Weighed],
-    rule: DensificationRule | None,
-    gaussians: Gaussians,
-    view: View,
-    batch: Batch,
+    terms: Sequence[Weighed], rule: DensificationRule | None, gaussians: Gaussians, view: View, batch: Batch
 ) -> tuple[Any, dict[str, Array], Array]:
     """The weighted sum of the terms, with what a rule adds for its probe; each of them; the mean squared error."""
     losses = {each.name: each.term.loss(gaussians, view, batch) for each in terms}
@@ -254,13 +256,6 @@ def weighted_loss(
     if rule:
         total += rule.probe_loss(view, batch)
     return total, losses, mse(jnp.clip(view.colors, 0, 1), batch.image, batch.valid)
-
-
-def _of_both(pairs: rasterizer.TilePairs, others: rasterizer.TilePairs) -> rasterizer.TilePairs:
-    """The lists of one view with the need of the longer lists of two."""
-    return pairs._replace(
-        needed=jnp.maximum(pairs.needed, others.needed), overflowed=pairs.overflowed | others.overflowed
-    )
 
 
 def in_photo(projection: rasterizer.Projection, size: Array) -> Array:

@@ -2,11 +2,12 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.sharding import Mesh
@@ -16,7 +17,6 @@ from gsjax.scene import batches
 from gsjax.scene.batches import Batch, Batches
 from gsjax.training import data_parallel
 from gsjax.training.capacity import STILL, can_stream, is_compiled_anew, no_room, rounded_capacity
-from gsjax.training.faults import NOT_FINITE
 from gsjax.training.step import Metrics
 from gsjax.training.terms.multi_view import drawn_beside
 
@@ -25,6 +25,7 @@ S = TypeVar("S")  # A state of training.
 logger = logging.getLogger("gsjax")
 
 VIEW_SHARE = 0.5  # Of the device's memory, for photos; beyond it, and where the device is full, they are streamed.
+NOT_FINITE = "the loss or a gradient is not finite"
 
 Feed = Callable[[Batches, int, float], Callable[[int], Batch]]
 """(photos, seed of their order, share of the device's memory) -> steps done -> what the next step compares with."""
@@ -115,7 +116,7 @@ def advance(
             known whether this one overflowed, so that a GPU never waits, and `after` gets a later state. The numbers
             are the same. None: it always looks.
         explain: (steps done, state, what the next step compares with, capacity) -> what is wrong with a step whose loss
-            or gradients are not finite, see `gsjax.training.faults`.
+            or gradients are not finite, see `faulty_terms`.
 
     Returns:
         The state after the last step, and the pair buffer's length by then.
@@ -168,3 +169,27 @@ def _is_taken(metrics: Metrics) -> bool:
     """Whether a step has changed the state."""
     overflowed, finite = jax.device_get((metrics.overflowed, metrics.finite))
     return bool(finite) and not overflowed
+
+
+def faulty_terms(
+    names: Iterable[str],
+    step_of: Callable[[str], Callable[[Any, Batch, Array], tuple[Any, Metrics]]],
+    state: Any,
+    target: Batch,
+    key: Array,
+) -> str:
+    """Which of these terms are at fault, in words, by the step of each alone. The state before it stays as it is."""
+    faults = []
+    for name in names:
+        _, metrics = step_of(name)(jax.tree.map(jnp.copy, state), target, key)
+        value = float(metrics.terms[name])
+        if not np.isfinite(value):
+            faults.append(f"the loss term '{name}' is {value}")
+        elif not metrics.finite:
+            faults.append(f"the gradient of the loss term '{name}' is not finite")
+    return " and ".join(faults) or f"{NOT_FINITE}, though that of every term alone is"
+
+
+def photo_of(data: Batches, view: int) -> str:
+    """A photo by its name, or by its number."""
+    return f"photo {data.names[view] if data.names else view}"

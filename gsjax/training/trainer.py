@@ -1,13 +1,4 @@
-"""A training loop of your own: the optimizer, the state, the step and the densification that `gsjax.train` uses.
-
-optimizer = gsjax.adam(scene.extent, steps=2_000)
-step = gsjax.train_step(optimizer, {"l1": 0.8, "dssim": 0.2})
-state = gsjax.init(gaussians, optimizer)
-for i, view in zip(range(2_000), itertools.cycle(views)):
-state, metrics = step(state, view, key)
-if i % 100 == 99:
-state = gsjax.densify(state, key)
-"""
+"""A training loop of your own (`docs/own_loop.md`): what `gsjax.train` uses, one step at a time."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -134,12 +125,7 @@ def densify(state: TrainState, key: Array) -> TrainState:
     )
 
 
-def resolve_losses(losses: Losses) -> tuple[Weighed, ...]:
-    """The terms of a loss, those of weight 0 left out.
-
-    Raises:
-        InputError: A name has no term.
-    """
+def _resolve_losses(losses: Losses) -> tuple[Weighed, ...]:
     own = {name: loss[1] for name, loss in losses.items() if isinstance(loss, tuple)}
     terms = {name: each if isinstance(each, Term) else Term(each) for name, each in own.items()}
     weights = {name: loss[0] if isinstance(loss, tuple) else loss for name, loss in losses.items()}
@@ -160,14 +146,14 @@ class Step:
         """Descend the loss of one view. The buffers of `state` are donated: use the state that is returned."""
         state = self._prepared(state)
         self._check(view)
+        room = headroom(grows=self.densification is not None)
         if not self._capacity:
-            needed = rendering.largest_need(state.gaussians, [view.camera])
-            self._capacity = rounded_capacity(needed, headroom(grows=self.densification is not None))
+            self._capacity = rounded_capacity(rendering.largest_need(state.gaussians, [view.camera]), room)
         while True:
             state, metrics = self._compiled(self._capacity)(state, view, key)
             if not metrics.overflowed:
                 return state, metrics
-            self._capacity = rounded_capacity(int(metrics.needed), headroom(grows=self.densification is not None))
+            self._capacity = rounded_capacity(int(metrics.needed), room)
 
     def _prepared(self, state: TrainState) -> TrainState:
         if state.densification == self.densification and state.optimizer == self.optimizer:
@@ -221,7 +207,7 @@ def train_step(
     every = max(1, optimizer.steps // SH_BANDS) if isinstance(optimizer, SceneAdam) else 1000
     return Step(
         optimizer,
-        resolve_losses(losses),
+        _resolve_losses(losses),
         how,
         background=BACKGROUNDS[background],
         sh_every=sh_every or every,

@@ -94,19 +94,9 @@ def densify(
 ) -> tuple[Gaussians, Moves]:
     """Drop the faint and the oversized, split those that answer for most of the error, the largest shares first.
 
-    So many split that there are `count`, and `density.replace` of it more: for these the least seen make room.
-
-    Args:
-        gaussians: The scene, `[N]` rows.
-        statistics: Sums since the last densification.
-        key: Not used: nothing here is drawn.
-        density: Thresholds.
-        extent: Camera extent, scene units.
-        prune_large: Whether size prunes; may be traced.
-        count: `[]` int32 Gaussians that there shall be, at most N; see `wanted_count`.
-
-    Returns:
-        The Gaussians and how rows moved, for the optimiser's moments: both halves of a split start with none.
+    So many split that there are `count` (`[]` int32, see `wanted_count`), and `density.replace` of it more: for these
+    the least seen make room. Nothing is drawn with the key. Otherwise as `gradient_driven.densify`; both halves of a
+    split start with no moments.
     """
     del key
     rows = gaussians.num_gaussians
@@ -150,13 +140,6 @@ def split_half(gaussians: Gaussians, side: Array) -> Gaussians:
     Both together have its mean and, without overlap, its covariance; and their opacity is the one with which a view
     from the side shows the same sum along that axis: the integral of 1 - (1 - a)(1 - b) over two halves is that of the
     whole.
-
-    Args:
-        gaussians: The wholes, `[N]` rows.
-        side: `[N]` -1 or 1.
-
-    Returns:
-        The halves, `[N]` rows.
     """
     along = jax.nn.one_hot(jnp.argmax(gaussians.log_scales, -1), 3, dtype=gaussians.means.dtype)
     offset = jnp.sum(rotation_matrices(gaussians.quats) * (along * scales(gaussians))[:, None, :], axis=-1)

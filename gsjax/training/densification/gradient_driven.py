@@ -4,7 +4,7 @@ A row of the buffers is dead when its log-odds of opacity are at `DEAD_LOGIT`: i
 free for a new Gaussian. When more Gaussians want to grow than rows are free, the largest gradients win.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -106,14 +106,8 @@ def densify(
     under `MIN_OPACITY` and, if `prune_large`, larger than `MAX_SHARE` of the extent: a large, badly
     fitted Gaussian leaves its halves behind where these are small enough. Where rows are short it waits, whole.
 
-    Args:
-        gaussians: The scene, `[N]` rows.
-        statistics: Sums since the last densification.
-        key: Consumed.
-        density: Thresholds.
-        extent: Camera extent, scene units.
-        prune_large: Whether size prunes; may be traced.
-        count: Not used: gradients decide which Gaussians, and free rows how many.
+    Gradients decide which Gaussians multiply, and free rows how many: `count` is not used. `extent` is that of the
+    cameras, scene units. Whether size prunes (`prune_large`) may be traced.
 
     Returns:
         The Gaussians and how rows moved, for the optimiser's moments.
@@ -142,13 +136,13 @@ def densify(
 
     is_half = splits[source] & (born | parent)
     logits = jnp.where(alive, gaussians.logit_opacities, DEAD_LOGIT)
-    moved = take(_with(gaussians, logit_opacities=logits), source)
+    moved = take(replace(gaussians, logit_opacities=logits), source)
     offset = jnp.sum(
         rotation_matrices(moved.quats)
         * (scales(moved) * jax.random.normal(key, (capacity, 3), jnp.float32))[:, None, :],
         axis=-1,
     )
-    densified = _with(
+    densified = replace(
         moved,
         means=jnp.where(is_half[:, None], moved.means + offset, moved.means),
         log_scales=jnp.where(is_half[:, None], moved.log_scales - jnp.log(jnp.float32(SPLIT)), moved.log_scales),
@@ -159,18 +153,9 @@ def densify(
 def reset_opacities(gaussians: Gaussians, limit: float) -> Gaussians:
     """Opacities capped at `limit`; dead rows stay dead."""
     logit = jnp.log(jnp.float32(limit / (1 - limit)))
-    return _with(gaussians, logit_opacities=jnp.minimum(gaussians.logit_opacities, logit))
-
-
-def cull(gaussians: Gaussians, min_opacity: float) -> Gaussians:
-    """Kill the Gaussians of lower opacity."""
-    return kill(gaussians, opacities(gaussians) < min_opacity)
+    return replace(gaussians, logit_opacities=jnp.minimum(gaussians.logit_opacities, logit))
 
 
 def kill(gaussians: Gaussians, mask: Array) -> Gaussians:
     """Kill the Gaussians of `mask`, `[N]` bool."""
-    return _with(gaussians, logit_opacities=jnp.where(mask, DEAD_LOGIT, gaussians.logit_opacities))
-
-
-def _with(gaussians: Gaussians, **fields: Array) -> Gaussians:
-    return Gaussians(**{**gaussians.__dict__, **fields})
+    return replace(gaussians, logit_opacities=jnp.where(mask, DEAD_LOGIT, gaussians.logit_opacities))

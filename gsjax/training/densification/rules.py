@@ -49,11 +49,7 @@ DENSIFICATION_RULES: dict[str, DensificationRule] = {
 
 
 def rule_named(name: str) -> DensificationRule:
-    """The rule of a name.
-
-    Raises:
-        InputError: There is none.
-    """
+    """The rule of a name; InputError where there is none."""
     if name not in DENSIFICATION_RULES:
         raise InputError(f"density.rule={name!r} is none of {', '.join(DENSIFICATION_RULES)}")
     return DENSIFICATION_RULES[name]

@@ -11,7 +11,7 @@ from jax import Array
 from jaxtyping import Float
 
 from gsjax.errors import InputError
-from gsjax.training.terms import losses, multi_view, surface
+from gsjax.training.terms import losses, multi_view
 
 NEEDS = {
     "depth": "the rendered depth, `View.depth`",
@@ -80,7 +80,7 @@ TERMS: Mapping[str, Term] = {
     "pixel_normal": Term(losses.pixel_normal, {"depth", "normals"}),
     "thickness": Term(losses.thickness, {"gaussians"}),
     "coverage": Term(losses.coverage, {"normals"}),
-    "depth_normal": Term(surface.depth_normal, {"axes", "depth"}),
+    "depth_normal": Term(losses.depth_normal, {"axes", "depth"}),
     "multi_view": Term(multi_view.multi_view, {"depth", "neighbor"}),
     "photometric": Term(multi_view.photometric, {"depth", "neighbor"}),
     "measured_depth": Term(losses.measured_depth, {"depth", "measured"}),
@@ -107,11 +107,6 @@ def weigh_terms(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS)
 def weights_of_data(need: str, weight: float) -> dict[str, float]:
     """The weights of the library's terms that compare with this data, a word of `NEEDS`: data bring their terms."""
     return {name: weight for name, term in TERMS.items() if need in term.needs}
-
-
-def comparable_terms(terms: tuple[Weighed, ...], *, has_mattes: bool) -> tuple[Weighed, ...]:
-    """The terms for photos with or without an alpha channel."""
-    return terms if has_mattes else tuple(each for each in terms if "matte" not in each.term.needs)
 
 
 def needs(terms: Iterable[Weighed]) -> frozenset[str]:

@@ -110,21 +110,9 @@ def _error(loss: Callable[..., Any], arguments: Seen) -> Exception | None:
 def _with(everything: Seen, needs: frozenset[str]) -> Seen:
     """What a step shows a term that has these needs."""
     gaussians, view, batch = everything
-
-    def of(word: str, value: Any) -> Any:
-        return value if word in needs else None
-
-    view = view._replace(
-        depth=of("depth", view.depth), axes=of("axes", view.axes), neighbor=of("neighbor", view.neighbor)
-    )
-    batch = replace(
-        batch,
-        normals=of("normals", batch.normals),
-        depth=of("measured", batch.depth),
-        trust=of("measured", batch.trust),
-        sky=of("sky", batch.sky),
-        matte=of("matte", batch.matte),
-    )
+    of_data = {"normals": "normals", "depth": "measured", "trust": "measured", "sky": "sky", "matte": "matte"}
+    view = view._replace(**dict.fromkeys({"depth", "axes", "neighbor"} - needs))
+    batch = replace(batch, **dict.fromkeys(name for name, need in of_data.items() if need not in needs))
     return gaussians, view, batch
 
 

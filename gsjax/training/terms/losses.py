@@ -1,7 +1,4 @@
-"""The terms on one view's image, on its Gaussians, and on normals.
-
-Each is a mean, so that weights mean the same at every resolution.
-"""
+"""The terms of one view. Each is a mean, so that weights mean the same at every resolution."""
 
 from collections.abc import Callable
 
@@ -12,6 +9,7 @@ from jax import Array
 from gsjax.gaussians import Gaussians, scales
 from gsjax.metrics.images import ssim
 from gsjax.normals import sdf
+from gsjax.normals.from_depth import depth_normals
 from gsjax.numerics import masked_mean, mean_channel
 from gsjax.rendering import MIN_COVERAGE, View
 from gsjax.scene.batches import Batch
@@ -86,6 +84,23 @@ def measured_depth(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     is_known = batch.valid & jnp.isfinite(batch.depth) & (batch.depth > 0) & (view.depth > 0)
     off = jnp.log(jnp.where(is_known, view.depth, 1)) - jnp.log(jnp.where(is_known, batch.depth, 1))
     return masked_mean(jnp.abs(off), jnp.where(is_known, batch.trust, 0))
+
+
+def depth_normal(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Normals of the splats against those of the depth that they render: mean of A sum_i w_i (1 - n_i . n_D) (2DGS).
+
+    n_i is a Gaussian's smallest axis, facing the camera (2DGS: the disc's normal), n_D the normal of the depth map.
+    A = sum_i w_i stands for the pixel's trust and carries no gradient, as in the authors' code: or a pixel whose
+    normals disagree would become transparent. Over the pixels whose depth has a normal.
+
+    Differentiable to rotations, and through the depth to means, scales and opacities.
+    """
+    del gaussians
+    assert view.depth is not None and view.axes is not None, "the term reads rendered depth and axes"
+    of_depth = depth_normals(view.depth, batch.camera)
+    weight = jax.lax.stop_gradient(view.alphas)
+    apart = weight * (weight - jnp.sum(view.axes * of_depth, axis=-1))
+    return masked_mean(apart, batch.valid & jnp.any(of_depth != 0, axis=-1))
 
 
 def alignment_term(estimator: sdf.Estimator, measure: Callable[..., Array] = sdf.misalignment) -> Loss:

@@ -132,11 +132,8 @@ def drawn_beside(neighbors: np.ndarray, seed: int, step: int) -> int:
 def with_neighbors(views: Batches, extent: float, shares: np.ndarray | float = 1.0) -> Batches:
     """The same views, each with its `NEAREST` neighbours; where there are fewer, they repeat.
 
-    Args:
-        views: The photos.
-        extent: Camera extent, scene units.
-        shares: `[V]`, or one for all, from 0 to 1, of the steps that a view has a neighbour in; in the
-            others it is its own, which requires nothing. The nearest ones stay.
+    `shares`, `[V]` or one for all, are of the steps that a view has a neighbour in, 0..1. In the others it is its own,
+    which requires nothing. The nearest ones stay. `extent` is that of the cameras, scene units.
     """
     neighbors = nearest_views(np.stack([target.camera.viewmat for target in views.views]), extent)
     own = np.arange(len(neighbors))

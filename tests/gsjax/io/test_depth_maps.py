@@ -12,7 +12,7 @@ from gsjax.errors import InputError
 from gsjax.io.depth_maps import open_depth_maps
 from gsjax.io.depth_windows import on_grid, window_of
 from gsjax.io.scenes import load_scene
-from gsjax.planning.measured_depth import measured_depth
+from gsjax.planning.depth_supervision import measured_depth
 from gsjax.scene import Pixels, frame_of
 from gsjax.settings import Supervision
 

@@ -13,8 +13,7 @@ from tqdm import tqdm
 from gsjax import pipeline
 from gsjax.errors import InputError
 from gsjax.io.normal_maps import normal_maps
-from gsjax.networks.depth_normals import DepthNormals
-from gsjax.networks.estimators import DepthEstimator
+from gsjax.networks.estimators import DepthEstimator, DepthNormals
 from gsjax.networks.records import DepthNetwork, Output, Size
 from gsjax.normals.fitted_depth import fit_depth
 from gsjax.scene import Pixels, Scene, Tracks, frame_of

@@ -10,7 +10,7 @@ from small_scenes import camera_at, plane
 
 from gsjax import rendering
 from gsjax.errors import InputError
-from gsjax.planning.measured_depth import measured_depth
+from gsjax.planning.depth_supervision import measured_depth
 from gsjax.rendering import depth
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
 from gsjax.scene.georeference import Place

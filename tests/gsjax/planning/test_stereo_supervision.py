@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from photographed_wall import wall
 
+from gsjax.planning import depth_supervision as module
 from gsjax.planning import start
-from gsjax.planning import stereo_supervision as module
-from gsjax.planning.stereo_supervision import stereo_supervision
+from gsjax.planning.depth_supervision import stereo_supervision
 from gsjax.settings import Model, Schedule, Settings, Supervision
 from gsjax.stereo import PhotoDepths, StereoMap, StereoPoints, depths_of_photos, write_stereo_maps
 from gsjax.training.plan import plan

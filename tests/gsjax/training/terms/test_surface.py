@@ -16,7 +16,7 @@ from gsjax.normals.from_depth import depth_normals
 from gsjax.numerics import masked_mean
 from gsjax.rendering import View, depth
 from gsjax.scene.batches import Batch
-from gsjax.training.terms.surface import depth_normal
+from gsjax.training.terms.losses import depth_normal
 
 CAMERA = camera_at(size=(24, 20))
 COUNT = 16
