@@ -1,25 +1,19 @@
 """Smooth depth from dissimilarities: semi-global matching (Hirschmüller, PAMI 2008)."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 STEP = 0.1  # cost of a neighbour at the next plane, in dissimilarities
 JUMP = 1.0  # cost of a neighbour at any other plane
 
 
-class Planes(NamedTuple):
-    """The plane of every pixel."""
-
-    places: np.ndarray  # [H, W] float32, in planes from the first
-    unlike: np.ndarray  # [H, W] float32, dissimilarity at the nearest plane
-
-
-def best_planes(dissimilarities: np.ndarray) -> Planes:
+def best_planes(dissimilarities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the plane of every pixel, interpolated between planes by a parabola.
 
     Args:
         dissimilarities: `[D, H, W]` float32, D at least 3.
+
+    Returns:
+        `[H, W]` float32 places in planes from the first, and `[H, W]` float32 dissimilarity at the nearest plane.
     """
     costs = np.ascontiguousarray(np.moveaxis(dissimilarities, 0, -1))
     smooth = smoothed(costs)
@@ -29,7 +23,7 @@ def best_planes(dissimilarities: np.ndarray) -> Planes:
     bend = before - 2 * here + after
     vertex = np.clip((before - after) / np.where(bend > 0, 2 * bend, 1), -0.5, 0.5)
     places = plane.astype(np.float32) + np.where((bend > 0) & (plane == inner), vertex, 0)
-    return Planes(places, _at(costs, plane))
+    return places, _at(costs, plane)
 
 
 def _at(values: np.ndarray, plane: np.ndarray) -> np.ndarray:
