@@ -80,25 +80,16 @@ def bind(
     """Round Gaussians on every triangle, as wide as the layout and the shortest edge allow.
 
     Args:
-        mesh: Vertices, triangles and the colours that the Gaussians start with.
+        mesh: Vertices, triangles, one at least, and the colours that the Gaussians start with.
         per_triangle: 1, 3, 4 or 6.
-        thickness: Standard deviation along the normal, scene units.
+        thickness: Standard deviation along the normal, scene units, above 0.
         sh_degree: Degree of the harmonics, zero above the constant band.
-        opacity: Of every Gaussian, 0..1.
+        opacity: Of every Gaussian, between 0 and 1.
         pixel_filter: How they are to be drawn; the classic one bends the geometry (docs/meshes.md#refinement).
 
     Returns:
         Gaussians on the device.
-
-    Raises:
-        ValueError: There is no such layout, the thickness or opacity is out of range, or there are no triangles.
     """
-    if per_triangle not in LAYOUTS:
-        raise ValueError(f"per_triangle={per_triangle} is none of {', '.join(map(str, LAYOUTS))}")
-    if not thickness > 0 or not 0 < opacity < 1:
-        raise ValueError(f"thickness={thickness} must be above 0, opacity={opacity} between 0 and 1")
-    if not mesh.num_faces:
-        raise ValueError("a mesh without triangles carries no Gaussians")
     barycentric, radius = LAYOUTS[per_triangle]
     corners = mesh.vertices.astype(np.float64)[mesh.faces]
     shortest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).min(axis=1)
@@ -195,8 +186,7 @@ def to_mesh(bound: BoundGaussians) -> Mesh:
 
 
 def _faces(bound: BoundGaussians) -> Array:
-    if bound.faces is None:
-        raise ValueError("these are free parameters without faces")
+    assert bound.faces is not None, "these are free parameters without faces"
     return bound.faces
 
 

@@ -5,7 +5,7 @@ it. It needs tracks: they say which photos see the same things, at which depths 
 right.
 """
 
-from gsjax.stereo.depths import PhotoDepth, PhotoDepths, StereoPoints, depths_of_photos, stereo_points
+from gsjax.stereo.depths import PhotoDepths, StereoPoints, depths_of_photos, stereo_points
 from gsjax.stereo.maps import (
     StereoMap,
     StereoMaps,
@@ -16,7 +16,6 @@ from gsjax.stereo.maps import (
 )
 
 __all__ = [
-    "PhotoDepth",
     "PhotoDepths",
     "StereoMap",
     "StereoMaps",
