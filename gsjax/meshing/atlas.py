@@ -7,8 +7,7 @@ its own, at once whatever the size of the mesh, but with seams everywhere. `unwr
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,9 +42,6 @@ class TexturedMesh:
     mesh: Mesh
     atlas: Atlas
     texture: np.ndarray  # [H, W, 3] uint8 sRGB
-
-
-Unwrap = Callable[[Mesh, int], Atlas]
 
 
 class NotUnfoldedError(Exception):
@@ -167,10 +163,9 @@ def _flat_faces_at_a_corner(atlas: Atlas, mesh: Mesh) -> Atlas:
     points = np.repeat(place[corners[:, 0]], 3)
     faces = atlas.faces.copy()
     faces[is_flat] = len(atlas.uvs) + np.arange(corners.size, dtype=np.int32).reshape(-1, 3)
-    return Atlas(
+    return replace(
+        atlas,
         uvs=np.concatenate([atlas.uvs, atlas.uvs[points]]),
         vertices=np.concatenate([atlas.vertices, corners.ravel()]).astype(np.int32),
         faces=faces,
-        size=atlas.size,
-        num_charts=atlas.num_charts,
     )

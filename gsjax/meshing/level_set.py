@@ -17,7 +17,6 @@ from gsjax import gaussians as gs
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field
-from gsjax.meshing.level_crossing import march_rays
 from gsjax.meshing.mesh_method import Method, SurfaceSamples, poisson_through
 from gsjax.meshing.neighborhood import Neighborhood
 from gsjax.meshing.poisson import PoissonOptions
@@ -46,13 +45,6 @@ class LevelSetOptions:
     level: float = 0.3  # density of the surface; SuGaR takes 0.1, 0.3 or 0.5
     num_points: int = 10_000_000  # most points, over all views
 
-    def __post_init__(self):
-        """Check ranges."""
-        if not 0 < self.level < 1:
-            raise InputError(f"level {self.level} is not between 0 and 1")
-        if self.num_points < 1:
-            raise InputError(f"number of surface points {self.num_points} is below 1")
-
 
 def options_for(cameras: Sequence[Camera]) -> LevelSetOptions:
     """SuGaR's numbers with as many points as the photos bear: an eighth of their pixels, 200,000 to 10 million."""
@@ -68,7 +60,6 @@ class SurfacePoints:
     points: np.ndarray  # [P, 3] float32 world
     normals: np.ndarray  # [P, 3] float32 unit, world, outward: towards the camera that saw the point
     colors: np.ndarray  # [P, 3] uint8 sRGB
-    view_ids: np.ndarray  # [P] int32 index of the camera
     rays: int  # marched
     crossings: int  # rays that crossed the level; a random part of them is kept where there are more than requested
     flipped: int  # of the crossings, those whose density gradient faced away from the camera
@@ -87,7 +78,6 @@ class Rays:
     hits: np.ndarray  # [R, 3] float32 the pixel's point at the rendered depth
     directions: np.ndarray  # [R, 3] float32 unit, away from the camera
     colors: np.ndarray  # [R, 3] uint8
-    view_ids: np.ndarray  # [R] int32
     owners: np.ndarray  # [R] int32 the Gaussian that was hit, of those that make the density
 
 
@@ -140,7 +130,6 @@ def surface_points(
         points=points[sample],
         normals=normals[sample],
         colors=rays.colors[sample],
-        view_ids=rays.view_ids[sample],
         rays=len(crossed),
         crossings=len(ids),
         flipped=int(away[ids].sum()),
@@ -204,7 +193,7 @@ def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng) ->
 def _rays_of_view(
     index: int, camera: Camera, picture: Picture, place: np.ndarray, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
-    """Arrays (hits, directions, colours, view ids, owners) of one view."""
+    """Arrays (hits, directions, colours, owners) of one view."""
     check_sizes(index, camera, picture)
     if picture.owners is None:
         hint = "draw pictures with gallery.pictures(..., with_owners=True), or leave them out"
@@ -215,15 +204,14 @@ def _rays_of_view(
     rows, columns = rows[sample], columns[sample]
     hits, directions = world_points(camera, depth, rows, columns)
     colors = to_bytes(np.asarray(picture.colors)[rows, columns])
-    views = np.full(len(rows), index, np.int32)
-    return hits.astype(np.float32), directions.astype(np.float32), colors, views, owners[rows, columns]
+    return hits.astype(np.float32), directions.astype(np.float32), colors, owners[rows, columns]
 
 
 def _march(gaussians: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, ...]:
     """Points, outward normals and whether there is a crossing, of every ray, chunk by chunk."""
     nearby = Neighborhood(gaussians, NEIGHBORS)
     how = {"level": level, "samples": SAMPLES, "sigma_range": SIGMA_RANGE}
-    march = partial(march_rays, density_field.kernels(gaussians), **how)
+    march = partial(density_field.march_rays, density_field.kernels(gaussians), **how)
     total = len(rays.hits)
     crossings = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32), np.empty(total, bool)
     for start in tqdm(range(0, total, CHUNK), desc="level set", unit="chunk", delay=QUIET):
@@ -236,19 +224,16 @@ def _march(gaussians: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, 
     return crossings
 
 
-def level_set_poisson(
-    options: LevelSetOptions | None = None, reconstruction: PoissonOptions | None = None, *, seed: int = 0
-) -> Method:
+def level_set_poisson(options: LevelSetOptions | None = None, reconstruction: PoissonOptions | None = None) -> Method:
     """Return the method; its pictures need owners.
 
     Args:
-        options: Of the sampling. None: `level_set.options_for` the cameras.
+        options: Of the sampling. None: `options_for` the cameras.
         reconstruction: Of the Poisson stage. None: its defaults.
-        seed: Of the random choice of pixels.
     """
 
     def from_level_set(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
-        surface = surface_points(gaussians, cameras, pictures, options, seed=seed)
+        surface = surface_points(gaussians, cameras, pictures, options)
         report = {
             "kernels": surface.kernels,
             "rays": surface.rays,

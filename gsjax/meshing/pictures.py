@@ -40,11 +40,6 @@ def vertex_colors(hits: Hits) -> np.ndarray:
     return hits.colors
 
 
-def normal_colors(hits: Hits) -> np.ndarray:
-    """`[R, 3]` camera-space normals as (n + 1) / 2, with y up and z towards the camera as is usual in pictures."""
-    return (hits.normals * np.array([1.0, -1.0, -1.0]) + 1) / 2
-
-
 def headlight(hits: Hits) -> np.ndarray:
     """`[R, 3]` grey, brightest where the surface faces the camera."""
     facing = np.abs(np.sum(hits.normals * hits.rays, axis=-1, keepdims=True))

@@ -20,8 +20,6 @@ from gsjax.scene.meshes import Mesh
 
 DEPTHS = (6, 10)  # Coarsest and finest octree that is chosen unasked; SuGaR takes 10, and 6 to 8 against bumps.
 MIN_POINTS = 100
-
-
 SCALE = 1.1  # Of the octree's cube over the longest side of the points' box, at least.
 OUTLIER_NEIGHBORS, OUTLIER_RATIO = 20, 20.0  # Of the statistical filter: standard deviations beyond the mean distance.
 TRIM_CELLS = 5.0  # Holes up to twice as wide are bridged, and open ends grow by as much: cells, or
@@ -144,8 +142,6 @@ def octree_for_cell(extent: float, cell: float, scale: float) -> tuple[int, floa
 
 
 def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):
-    if not points.shape == normals.shape == colors.shape == (len(points), 3):
-        raise ValueError(f"{points.shape=}, {normals.shape=}, {colors.shape=} must all be [P, 3]")
     o3d = require("open3d")
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
     cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))

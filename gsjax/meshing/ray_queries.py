@@ -19,8 +19,6 @@ class FirstHits(NamedTuple):
 
 Cast = Callable[[np.ndarray, np.ndarray], FirstHits]
 """From origins `[R, 3]` (or one, `[3]`) and directions `[R, 3]` of any length to what they hit first."""
-
-
 MOST_BACK_FACES = 16  # That a ray passes on its way.
 STEP = 1e-4  # Of the distance, by which a ray goes on behind a back face.
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from gsjax.errors import NoSurfaceError
 from gsjax.meshing.regions import Box
-from gsjax.meshing.silhouettes import Silhouette, overlap, silhouettes_of
-from gsjax.meshing.track_visibility import TrackRays, track_rays, track_visibility
+from gsjax.meshing.silhouettes import overlap, silhouettes_of
+from gsjax.meshing.track_visibility import track_rays, track_visibility
 from gsjax.scene import Scene
 from gsjax.scene.meshes import Mesh
 
@@ -34,20 +34,11 @@ def evidence_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
     if boxes:
         lines = lines.within(boxes)
     if len(lines) >= FEWEST_LINES:
-        return by_tracks(lines)
+        says = f"{len(lines):,} lines of sight to matched points"
+        return Witness(says, lambda mesh: track_visibility(mesh, lines)._asdict(), 0.04)
     outlines = () if boxes else silhouettes_of(scene)
-    return by_mattes(outlines) if outlines else None
-
-
-def by_tracks(lines: TrackRays) -> Witness:
-    """The tracks of structure from motion, of one line at least."""
-    return Witness(
-        f"{len(lines):,} lines of sight to matched points", lambda mesh: track_visibility(mesh, lines)._asdict(), 0.04
-    )
-
-
-def by_mattes(outlines: Sequence[Silhouette]) -> Witness:
-    """The mattes of photos, of one at least."""
+    if not outlines:
+        return None
     return Witness(f"its outline in {len(outlines)} photos", lambda mesh: overlap(mesh, outlines)._asdict(), 0.02)
 
 

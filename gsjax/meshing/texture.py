@@ -1,7 +1,7 @@
 """A texture from rendered views: every texel gets the mean of what the views that see it show there."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 import jax
@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from scipy import ndimage
 
-from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
+from gsjax.meshing.atlas import Atlas, TexturedMesh, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.ray_queries import ray_caster
 from gsjax.meshing.texel_points import Texels, paint_texture, texels_of
@@ -36,7 +36,7 @@ def texture_mesh(
     *,
     size: int = 4096,
     background: np.ndarray | None = None,
-    unwrap: Unwrap = unwrap,
+    unwrap: Callable[[Mesh, int], Atlas] = unwrap,
 ) -> tuple[TexturedMesh, dict]:
     """Paints a mesh with what its views show.
 
