@@ -49,11 +49,9 @@ class NotUnfoldedError(Exception):
 
 
 def unwrap(mesh: Mesh, size: int) -> Atlas:
-    """Charts; cells for more than 1.5 million triangles, and where xatlas fails.
+    """Charts in a square of `size` texels; cells for more than 1.5 million triangles, and where xatlas fails.
 
-    Args:
-        mesh: What to unwrap. Triangles without area are welcome.
-        size: Side of the texture, texels.
+    Triangles without area are welcome.
 
     Raises:
         InputError: The texture has no room for so many triangles.

@@ -75,13 +75,7 @@ def density_gradient(point: Array, nearby: Kernels) -> Array:
 
 
 def along_ray(origin: Array, direction: Array, nearby: Kernels) -> RayProfile:
-    """The kernels restricted to one ray: `density` at `origin + t * direction` as a function of t alone.
-
-    Args:
-        origin: `[3]` world point.
-        direction: `[3]` unit.
-        nearby: The kernels.
-    """
+    """The kernels on a ray from a world point in a unit direction, `[3]` each: `density` as a function of t alone."""
     slopes = jnp.sum(nearby.whitening * direction[None, None, :], axis=-1)
     offsets = _whitened_offsets(origin, nearby)
     squared = jnp.sum(slopes * slopes, axis=-1)

@@ -101,11 +101,7 @@ def smooth_pictures(
 ) -> Iterator[Picture]:
     """What each camera sees of a mesh from outside, over black: the means of many rays a pixel, as viewers draw edges.
 
-    Args:
-        mesh: What to show.
-        cameras: From where.
-        shading: Colours in 0..1 of what the rays hit.
-        side: Rays along a pixel, and down it.
+    There are `side` rays along a pixel, and as many down it.
     """
     cast = front_faces_only(mesh, ray_caster(mesh))
     for camera in cameras:

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from gsjax.errors import NoSurfaceError
 from gsjax.io.packages import require
-from gsjax.meshing.connectivity import edge_table
+from gsjax.meshing.connectivity import connected_labels, edge_table
 from gsjax.scene.meshes import Mesh
 
 DEPTHS = (6, 10)  # Coarsest and finest octree that is chosen unasked; SuGaR takes 10, and 6 to 8 against bumps.
@@ -92,7 +90,9 @@ def reconstruct(
         NoSurfaceError: Fewer than 100 points, or nothing is left after trimming.
     """
     options = PoissonOptions() if options is None else options
-    cloud = _without_outliers(_as_cloud(points, normals, colors))
+    cloud = _as_cloud(points, normals, colors)
+    if len(points) > OUTLIER_NEIGHBORS:
+        cloud = cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
     inliers = np.asarray(cloud.points)
     if len(inliers) < MIN_POINTS:
         raise NoSurfaceError(f"no mesh: {len(inliers)} surface points, Poisson reconstruction needs {MIN_POINTS}")
@@ -129,12 +129,8 @@ def octree_for_cell(extent: float, cell: float, scale: float) -> tuple[int, floa
     """Depth, from 6 to 10, and scale, at least the given one, of an octree whose finest cells are of side `cell`.
 
     An octree halves its cube, so the cube is made larger until a whole number of halvings fits. Cells are larger than
-    requested where depth 10 is not enough, and smaller where 6 is too much.
-
-    Args:
-        extent: Longest side of the points' box, scene units.
-        cell: Scene units.
-        scale: Of the cube over the box.
+    requested where depth 10 is not enough, and smaller where 6 is too much. The scale is that of the cube over the
+    points' box, whose longest side is `extent`, scene units.
     """
     halvings = np.ceil(np.log2(scale * extent / max(cell, 1e-6 * extent)))
     depth = int(np.clip(halvings, *DEPTHS))
@@ -147,12 +143,6 @@ def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):
     cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
     cloud.colors = o3d.utility.Vector3dVector(colors / 255.0)
     return cloud
-
-
-def _without_outliers(cloud):
-    if len(cloud.points) <= OUTLIER_NEIGHBORS:
-        return cloud
-    return cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
 
 
 def _poisson(cloud, depth: int, scale: float):
@@ -175,18 +165,11 @@ def adaptive(support: Support) -> Cut:
         return Cut(is_far, 0.0)
     too_thin = ~is_near & (support.densities < np.quantile(support.densities[is_near], THINNEST_SUPPORTED))
     unsound = is_far | too_thin
-    patch = _patches(unsound, support.edges)
+    patch = connected_labels(support.edges[unsound[support.edges].all(axis=1)], len(unsound))
     leads_far = np.zeros(len(unsound), bool)
     leads_far[patch[is_far]] = True
     cut = unsound & leads_far[patch]
     return Cut(cut, float((cut & ~is_far).mean()))
-
-
-def _patches(members: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """`[V]` a label per vertex, the same for members that are connected through members."""
-    inner = edges[members[edges].all(axis=1)]
-    graph = coo_matrix((np.ones(len(inner), bool), (inner[:, 0], inner[:, 1])), shape=(len(members),) * 2)
-    return connected_components(graph, directed=False)[1]
 
 
 def at_quantile(quantile: float) -> Trim:

@@ -26,9 +26,7 @@ class Witness(NamedTuple):
 def evidence_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
     """Return the tracks, where they are enough; else the mattes, which show the whole object and nothing of a box.
 
-    Args:
-        scene: A loaded data set.
-        boxes: Where the surface is judged. None: everywhere.
+    Without boxes the surface is judged everywhere.
     """
     lines = track_rays(scene)
     if boxes:

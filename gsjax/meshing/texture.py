@@ -180,14 +180,7 @@ STEP = 256  # Sides are multiples of this.
 
 
 def texture_side(mesh: Mesh, cameras: Sequence[Camera], *, least: int, most: int) -> int:
-    """Side of the smallest texture that holds what the cameras resolve on the surface, texels.
-
-    Args:
-        mesh: Outward triangles.
-        cameras: One a view.
-        least: Texels.
-        most: Texels.
-    """
+    """Side, `least` to `most` texels, of the smallest texture that holds what the cameras resolve on the surface."""
     finest = np.zeros(mesh.num_faces)
     for camera in cameras:
         finest = np.maximum(finest, pixels_of_faces(mesh, camera))

@@ -40,10 +40,7 @@ class _Surface(NamedTuple):
 def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequence[int]]) -> list[Completed]:
     """Complete the depth of photos by planes.
 
-    Args:
-        views: The photos.
-        depths: Their depth, confident where another photo confirms it.
-        near: For every photo, the indices of those that it is compared with.
+    Their depth is confident where another confirms it; `near` has the indices of those that each is compared with.
     """
     stereo = [np.where(depth.is_confident, 1 / depth.z, 0) for depth in depths]
     segments = list(parallel_map(lambda view: photo_segments(view.color), views))

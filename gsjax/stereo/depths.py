@@ -164,12 +164,7 @@ class StereoPoints(NamedTuple):
 
 
 def stereo_points(swept: PhotoDepths, count: int) -> StereoPoints:
-    """Return at most `count` points of consistent stereo depth, evenly spread.
-
-    Args:
-        swept: Depth of one photo at least.
-        count: At least 1.
-    """
+    """Return at most `count` points (1 at least) of the depth of one photo at least, evenly spread."""
     points = np.concatenate([each.view.lift(each.depth) for each in swept.accepted])
     colors = np.concatenate([each.view.color[each.depth.is_confident] for each in swept.accepted])
     indices = spread_evenly(points, count)

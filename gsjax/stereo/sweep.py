@@ -23,11 +23,7 @@ def inverse_depths(view: View) -> np.ndarray:
 def dissimilarities(view: View, others: Sequence[View]) -> np.ndarray:
     """Compute 1 - the normalized cross-correlation with others, per pixel and plane parallel to the photo.
 
-    It is the mean of the two best, as a point may be hidden in the other neighbours.
-
-    Args:
-        view: The photo.
-        others: Its neighbours, one at least.
+    It is the mean of the two best neighbours, of one at least, as a point may be hidden in the others.
 
     Returns:
         `[PLANES, H, W]` float32 in 0 to `UNLIKE`; exposure and contrast of a photo do not change them.

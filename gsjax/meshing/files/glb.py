@@ -44,12 +44,7 @@ def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> b
 
 
 def encode_textured(textured: TexturedMesh, place: Place = UNPLACED) -> bytes:
-    """A mesh with its texture as a GLB: one vertex a place in the texture. Unlit, as photos hold their light already.
-
-    Args:
-        textured: What to write.
-        place: As of `encode_glb`.
-    """
+    """A mesh with its texture as a GLB: a vertex for each place in the texture. Unlit: photos hold their light already."""
     from PIL import Image
 
     trimesh, atlas = require("trimesh"), textured.atlas

@@ -85,11 +85,7 @@ def clamp_places(places: np.ndarray, side: int) -> np.ndarray:
 
 
 def merge_parts(parts: Sequence[Part]) -> Part:
-    """One part: with a texture where all have one or one colour, else with the colours of each at its vertices.
-
-    Args:
-        parts: At least one, each with places in 0..1.
-    """
+    """One part of some, with places in 0..1: with a texture where all have one or one colour, else with colours."""
     if len(parts) == 1:
         return parts[0]
     if any(part.texture is not None for part in parts):

@@ -21,10 +21,6 @@ LONGEST_HEADER = 2**16  # bytes
 def read_ply(path: Path, named: NamedFiles) -> list[Part]:
     """The triangles of a PLY: a part for each picture, or one with colours of vertices.
 
-    Args:
-        path: The file.
-        named: The files in its folder.
-
     Raises:
         InputError: It cannot be read.
         ValueError, LookupError, TypeError: It is damaged.
