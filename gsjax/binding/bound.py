@@ -77,7 +77,7 @@ def bind(
     opacity: float = 0.9,
     pixel_filter: PixelFilter = "mip",
 ) -> BoundGaussians:
-    """Round Gaussians on every triangle, as wide as the layout and the shortest edge allow.
+    """Round Gaussians on every triangle, on the device, as wide as the layout and the shortest edge allow.
 
     Args:
         mesh: Vertices, triangles, one at least, and the colours that the Gaussians start with.
@@ -86,9 +86,6 @@ def bind(
         sh_degree: Degree of the harmonics, zero above the constant band.
         opacity: Of every Gaussian, between 0 and 1.
         pixel_filter: How they are to be drawn; the classic one bends the geometry (docs/meshes.md#refinement).
-
-    Returns:
-        Gaussians on the device.
     """
     barycentric, radius = LAYOUTS[per_triangle]
     corners = mesh.vertices.astype(np.float64)[mesh.faces]

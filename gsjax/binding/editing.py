@@ -17,14 +17,8 @@ MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its p
 def rebound(mesh: Mesh, gaussians: Gaussians) -> MixedGaussians:
     """The scene of which `gsjax.binding.bound.to_mesh` and `gsjax.binding.mixed_gaussians.all_gaussians` made these.
 
-    The bound ones stand first and are all equally thick, to the bit; from the first that is not, they are free.
-
-    Args:
-        mesh: With its vertices and faces in the order in which they were written.
-        gaussians: Likewise.
-
-    Returns:
-        Gaussians on the device, ready to be edited, trained or drawn.
+    The bound ones stand first and are all equally thick, to the bit; from the first that is not, they are free. The
+    vertices and faces are in the order in which they were written, as are the Gaussians.
 
     Raises:
         InputError: The Gaussians are not those of the mesh.
@@ -64,9 +58,6 @@ def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians
     Args:
         bound: Before the edit.
         vertices: `[V, 3]` new positions of the same vertices.
-
-    Returns:
-        After the edit.
 
     Raises:
         ValueError: Another number of vertices.

@@ -96,8 +96,6 @@ def _oriented_like(faces: np.ndarray, patches: np.ndarray, labels: np.ndarray, c
 def _conflicts(faces: np.ndarray, added: np.ndarray) -> np.ndarray:
     """`[A]` bool: added triangles with an edge that another triangle has in the same direction."""
     both = np.concatenate([faces, added])
-    if not len(both):
-        return np.zeros(0, bool)
     _, places, counts = np.unique(_directed(both, int(both.max()) + 1), return_inverse=True, return_counts=True)
     return np.any(counts[places].reshape(-1, 3) > 1, axis=1)[len(faces) :]
 

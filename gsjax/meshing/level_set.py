@@ -86,8 +86,6 @@ def surface_points(
     cameras: Sequence[Camera],
     pictures: Iterable[Picture],
     options: LevelSetOptions | None = None,
-    *,
-    seed: int = 0,
 ) -> SurfacePoints:
     """Points of the level set {d = level} seen by the cameras.
 
@@ -98,7 +96,6 @@ def surface_points(
             best come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say
             nothing.
         options: The numbers. None: `options_for` these cameras.
-        seed: Of the random choice of pixels.
 
     Returns:
         At most `options.num_points` points with outward normals.
@@ -107,7 +104,7 @@ def surface_points(
         InputError: A picture has no owners, no pixel is opaque, no Gaussian is there, or no ray crosses the level.
     """
     options = options_for(cameras) if options is None else options
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     ids = opaque_ids(gaussians)
     per_view = options.num_points // max(len(cameras), 1) + 1
     place = np.full(gaussians.num_gaussians + 1, -1, np.int32)  # Of each Gaussian among the opaque ones; -1 stays -1.

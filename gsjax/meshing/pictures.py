@@ -80,14 +80,8 @@ def render_mesh(
 ) -> np.ndarray:
     """`[H, W, 3]` uint8 picture on white; surfaces seen from their inner side are dark red.
 
-    Args:
-        mesh: What to show.
-        viewmat: `[4, 4]` world to camera, OpenCV axes.
-        K: `[3, 3]` pixels; pixel centres at +0.5.
-        width: Pixels.
-        height: Pixels.
-        shading: Colours in 0..1 of what the rays hit.
-        cast: The mesh's `ray_caster`, where many pictures share it.
+    `viewmat` `[4, 4]` is world to camera, OpenCV axes; `K` `[3, 3]` is in pixels, with centres at +0.5. `cast` is the
+    mesh's `ray_caster`, where many pictures share it.
     """
     hits, pixels = _hits(mesh, cast or ray_caster(mesh), viewmat, K, width, height)
     is_back = np.sum(hits.normals * hits.rays, axis=-1, keepdims=True) > 0

@@ -90,7 +90,10 @@ def reconstruct(
         NoSurfaceError: Fewer than 100 points, or nothing is left after trimming.
     """
     options = PoissonOptions() if options is None else options
-    cloud = _as_cloud(points, normals, colors)
+    o3d = require("open3d")
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
+    cloud.colors = o3d.utility.Vector3dVector(colors / 255.0)
     if len(points) > OUTLIER_NEIGHBORS:
         cloud = cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
     inliers = np.asarray(cloud.points)
@@ -104,10 +107,13 @@ def reconstruct(
     cell = scale * extent / 2**depth
     far = max(TRIM_SPACINGS * gap, TRIM_CELLS * cell)
 
-    surface, densities = _poisson(cloud, depth, scale)
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        surface, densities = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+            cloud, depth=depth, scale=scale, n_threads=THREADS
+        )
     distances = np.asarray(KDTree(inliers).query(np.asarray(surface.vertices), workers=-1)[0])
     edges = edge_table(np.asarray(surface.triangles)).pairs
-    cut = (options.trim or adaptive)(Support(distances, densities, edges, near=far / 2, far=far))
+    cut = (options.trim or adaptive)(Support(distances, np.asarray(densities), edges, near=far / 2, far=far))
     surface.remove_vertices_by_mask(cut.vertices)
     if not len(surface.triangles):
         raise NoSurfaceError(f"no mesh: no Poisson vertex is supported by the {len(inliers)} points (within {far:.4g})")
@@ -135,23 +141,6 @@ def octree_for_cell(extent: float, cell: float, scale: float) -> tuple[int, floa
     halvings = np.ceil(np.log2(scale * extent / max(cell, 1e-6 * extent)))
     depth = int(np.clip(halvings, *DEPTHS))
     return depth, float(np.clip(cell * 2**depth / extent, scale, 2 * scale))
-
-
-def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):
-    o3d = require("open3d")
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
-    cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
-    cloud.colors = o3d.utility.Vector3dVector(colors / 255.0)
-    return cloud
-
-
-def _poisson(cloud, depth: int, scale: float):
-    o3d = require("open3d")
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        surface, densities = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-            cloud, depth=depth, scale=scale, n_threads=THREADS
-        )
-    return surface, np.asarray(densities)
 
 
 def adaptive(support: Support) -> Cut:

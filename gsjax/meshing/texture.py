@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -124,13 +123,7 @@ def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
     return is_facing & within[:, mesh.faces].any(axis=2).all(axis=0)
 
 
-@jax.jit
-def _sightings(points: Array, normals: Array, camera: Camera, layers: Array) -> Array:
-    """`[C, 4]` of every texel what `_sighting` says."""
-    return jax.vmap(partial(_sighting, camera=camera, layers=layers))(points, normals)
-
-
-def _sighting(point: Array, normal: Array, *, camera: Camera, layers: Array) -> Array:
+def _sighting(point: Array, normal: Array, camera: Camera, layers: Array) -> Array:
     """`[4]` weighted colour and weight of one point of the surface in one view; zeros where it is not seen.
 
     The four pixels around it are mixed bilinearly, those left out that show something else: where the mesh lies
@@ -166,6 +159,9 @@ def _sighting(point: Array, normal: Array, *, camera: Camera, layers: Array) -> 
     left, top = (jnp.where(is_inside, at, 0.5) - 0.5 for at in (x, y))
     mixed = pixel(0, 0) + pixel(1, 0) + pixel(0, 1) + pixel(1, 1)
     return jnp.where(is_inside & is_facing, cosine * (focal / depth) ** 2, 0) * mixed
+
+
+_sightings = jax.jit(jax.vmap(_sighting, in_axes=(0, 0, None, None)))
 
 
 def _filled_up(rows: np.ndarray) -> np.ndarray:

@@ -231,10 +231,7 @@ def _agreement(
 ) -> tuple[float | None, float | None, float | None]:
     """Return `evidence`, `noise` and `apart` of a photo: its consistency, compared with maps that only face cameras.
 
-    Args:
-        apart: `[M, P]` degrees between the normals of two views.
-        chance: `[M, P]` degrees between the directions to their cameras.
-        visible: `[M, P]` bool, where a neighbour shows the place and has a normal.
+    The degrees `[M, P]` are those between the normals of two views, and between the directions to their cameras.
     """
     counted = visible & (chance > LEAST_ANGLE)
     if counted.sum() < FEWEST:

@@ -11,9 +11,8 @@ from tqdm import tqdm
 from gsjax.io.packages import MissingPackageError, require
 from gsjax.io.parallel_map import parallel_map
 from gsjax.scene import Scene
-from gsjax.stereo.aggregation import best_planes
 from gsjax.stereo.completion import complete
-from gsjax.stereo.sweep import dissimilarities, inverse_depths
+from gsjax.stereo.sweep import best_planes, dissimilarities, inverse_depths
 from gsjax.stereo.views import MOST_VIEWS, Depth, View, neighbors, stereo_views
 
 CONFIDENT = 0.6  # dissimilarity up to which a pixel may be confident

@@ -21,12 +21,9 @@ OWN = "_color"  # What trimesh takes along untouched; it would write colours of 
 
 
 def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> bytes:
-    """A mesh as a GLB, its colours linear.
+    """A mesh as a GLB, its colours linear; `unlit` where viewers are to show them as they are: photos hold their light.
 
-    Args:
-        mesh: What to write.
-        place: What is known of the world that it lies in, for the extras of the asset.
-        unlit: Whether viewers are to show the colours as they are: photos hold their light.
+    What is known of its place is in the extras of the asset.
     """
     linear = np.ones((mesh.num_vertices, 4))
     linear[:, :3] = srgb_to_linear(mesh.colors / 255)
@@ -44,7 +41,7 @@ def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> b
 
 
 def encode_textured(textured: TexturedMesh, place: Place = UNPLACED) -> bytes:
-    """A mesh with its texture as a GLB: a vertex for each place in the texture. Unlit: photos hold their light already."""
+    """A mesh with its texture as a GLB: one vertex a place in the texture. Unlit: photos hold their light already."""
     from PIL import Image
 
     trimesh, atlas = require("trimesh"), textured.atlas

@@ -82,14 +82,12 @@ def test_ball_gives_points_on_the_sphere_with_outward_normals(ball):
     np.testing.assert_allclose(landed % 1, 0.5, atol=2e-3, err_msg="rays pass the centres of pixels")
 
 
-def test_same_seed_same_points_whatever_the_chunk(ball, monkeypatch):
-    a = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000), seed=3)
+def test_same_points_whatever_the_chunk(ball, monkeypatch):
+    a = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000))
     monkeypatch.setattr(level_set, "CHUNK", 700)
-    b = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000), seed=3)
-    other = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000), seed=4)
+    b = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000))
     np.testing.assert_allclose(a.points, b.points, atol=1e-6)
     assert a.crossings == b.crossings
-    assert not np.array_equal(a.points, other.points)
 
 
 def test_transparent_gaussians_and_those_with_nan_do_not_make_density(ball):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tolerances import assert_close
 
-from gsjax.stereo.aggregation import JUMP, STEP, best_planes, smoothed
+from gsjax.stereo.sweep import JUMP, STEP, best_planes, smoothed
 
 
 def by_loops(costs):
