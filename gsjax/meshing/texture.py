@@ -127,13 +127,8 @@ def _sighting(point: Array, normal: Array, camera: Camera, layers: Array) -> Arr
     """`[4]` weighted colour and weight of one point of the surface in one view; zeros where it is not seen.
 
     The four pixels around it are mixed bilinearly, those left out that show something else: where the mesh lies
-    before or behind the point, where Gaussians float before it, or where nothing much is.
-
-    Args:
-        point: `[3]` world.
-        normal: `[3]` unit, outward, world.
-        camera: The view.
-        layers: `[H, W, 6]` colours times coverage, coverage, depth of the mesh, and depth of the Gaussians.
+    before or behind the point, where Gaussians float before it, or where nothing much is. The layers `[H, W, 6]` are
+    colours times coverage, coverage, depth of the mesh, and depth of the Gaussians.
     """
     in_camera = pinhole.world_to_camera(point, camera)
     depth = jnp.maximum(in_camera[2], 1e-6)

@@ -201,11 +201,8 @@ def _error(own: np.ndarray, others: np.ndarray, visible: np.ndarray, apart: np.n
     and, with `OWN_VOTE`, its own; and the (lower) median angle to one neighbour, over the root of two, as both may be
     wrong. The first alone would accept a map that only faces its camera, where cameras stand around the place.
 
-    Args:
-        own: `[P, 3]` world normals of the pixels.
-        others: `[M, P, 3]` of the neighbours at the same places.
-        visible: `[M, P]` bool, where a neighbour shows the place and has a normal.
-        apart: `[M, P]` degrees between the two.
+    `own` are `[P, 3]` world normals of the pixels, `others` `[M, P, 3]` those of the neighbours at the same places, and
+    `apart` `[M, P]` degrees between the two.
     """
     observed = visible.any(axis=0)
     votes = np.concatenate([visible, np.full((1, len(own)), OWN_VOTE)])

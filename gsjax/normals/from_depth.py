@@ -197,8 +197,7 @@ def _moments(images: Array, powers: tuple[int, ...], axis: int) -> Array:
 def _choose_planes(planes: Array, variance: Array, values: Array) -> tuple[Array, Array]:
     """Mean of the planes of the windows around every pixel, weighted by the inverse of their squared misfit.
 
-    Returns:
-        `[H, W, 3]` value and slopes at the pixel; and `[H, W]` the best window's misfit relative to the value.
+    `[H, W, 3]` are value and slopes at the pixel, `[H, W]` the best window's misfit relative to the value.
     """
     reach = math.ceil(2.4 * _SIGMA)
     planes = jnp.pad(planes, [(reach, reach), (reach, reach), (0, 0)])
@@ -232,14 +231,8 @@ def _shifts() -> np.ndarray:
 def _nearest_planes(planes: Array, misfits: Array, values: Array, size: int) -> tuple[Array, Array]:
     """Planes of blocks brought to pixels: the mean of the 9 blocks about each, by distance and by misfit there.
 
-    Args:
-        planes: `[rows, columns, 3]` value at the block's centre and slopes per block.
-        misfits: `[rows, columns]` relative to the value.
-        values: `[H, W]` of the pixels.
-        size: Side of a block, pixels.
-
-    Returns:
-        `[H, W, 3]` value and slopes per pixel; and `[H, W]` the best block's misfit.
+    Planes `[rows, columns, 3]` have the value at the block's centre and slopes per block; those that are returned,
+    `[H, W, 3]`, slopes per pixel. The other array `[H, W]` is the best block's misfit.
     """
     rows, columns = misfits.shape
     planes = jnp.pad(planes, ((1, 1), (1, 1), (0, 0)))

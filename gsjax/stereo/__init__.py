@@ -6,14 +6,7 @@ right.
 """
 
 from gsjax.stereo.depths import PhotoDepths, StereoPoints, depths_of_photos, stereo_points
-from gsjax.stereo.maps import (
-    StereoMap,
-    StereoMaps,
-    read_stereo_maps,
-    stereo_maps,
-    witnessed_normals,
-    write_stereo_maps,
-)
+from gsjax.stereo.maps import StereoMap, StereoMaps, read_stereo_maps, stereo_maps, witnessed_normals, write_stereo_maps
 
 __all__ = [
     "PhotoDepths",

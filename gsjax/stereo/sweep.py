@@ -72,16 +72,16 @@ def _windowed(values: np.ndarray) -> np.ndarray:
     return cv2.boxFilter(values, -1, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT)
 
 
-def best_planes(dissimilarities: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def best_planes(dissimilarity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the plane of every pixel, interpolated between planes by a parabola.
 
     Args:
-        dissimilarities: `[D, H, W]` float32, D at least 3.
+        dissimilarity: `[D, H, W]` float32, D at least 3.
 
     Returns:
         `[H, W]` float32 places in planes from the first, and `[H, W]` float32 dissimilarity at the nearest plane.
     """
-    costs = np.ascontiguousarray(np.moveaxis(dissimilarities, 0, -1))
+    costs = np.ascontiguousarray(np.moveaxis(dissimilarity, 0, -1))
     smooth = smoothed(costs)
     plane = np.argmin(smooth, axis=-1)
     inner = np.clip(plane, 1, smooth.shape[-1] - 2)
