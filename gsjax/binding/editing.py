@@ -49,15 +49,11 @@ def rebound(mesh: Mesh, gaussians: Gaussians) -> MixedGaussians:
 
 
 def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians:
-    """The Gaussians after the vertices were moved: each is stretched and turned in its plane as its triangle is.
+    """The Gaussians after the vertices were moved, to `[V, 3]`: each is stretched and turned as its triangle is.
 
     Means and normals follow the vertices by themselves. The in-plane covariance S of a Gaussian becomes J S J^T, J
     being the map that takes the old triangle to the new one, so a rigid motion or a scaling of the whole mesh moves
     all but the thickness exactly. Gaussians of a triangle that was or becomes collapsed keep their shape.
-
-    Args:
-        bound: Before the edit.
-        vertices: `[V, 3]` new positions of the same vertices.
 
     Raises:
         ValueError: Another number of vertices.

@@ -73,12 +73,9 @@ def write_mesh(path: str | Path, mesh: Mesh, place: Place = UNPLACED) -> None:
 
 
 def write_textured(path: str | Path, textured: TexturedMesh, place: Place = UNPLACED) -> None:
-    """Write a mesh with its texture, whole or not at all; of three files, the .obj that names the others comes last.
+    """Write a mesh with its texture, whole or not at all, like `write_mesh`, as .glb, .usdz or .obj.
 
-    Args:
-        path: .glb, .usdz or .obj; to the latter belong a .mtl and a .png of the same name, which are replaced too.
-        textured: What to write.
-        place: As of `write_mesh`.
+    To an .obj belong a .mtl and a .png of the same name, which are replaced too; the .obj that names them comes last.
 
     Raises:
         InputError: Another suffix, or a file cannot be written.

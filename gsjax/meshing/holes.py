@@ -28,11 +28,8 @@ def fill_holes(mesh: Mesh, views: Sequence[CoarseDepth]) -> tuple[Mesh, HoleRepo
     """Closes a hole where at most of its points at least two views show a surface, and no fewer than look through it.
 
     A view supports a point whose depth is within `SAME_SURFACE` of the one that it shows there, and looks through the
-    point where it shows a greater one. The patches are Open3D's (VTK's): triangles between vertices of the rim.
-
-    Args:
-        mesh: Oriented, clean.
-        views: What the Gaussians show, see `gsjax.rendering.coarse_depths`.
+    point where it shows a greater one. The patches are Open3D's (VTK's): triangles between vertices of the rim. The
+    mesh is oriented and clean.
 
     Returns:
         The mesh with the same vertices and more triangles, oriented like those around them; and what was closed.

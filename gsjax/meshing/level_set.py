@@ -87,18 +87,11 @@ def surface_points(
     pictures: Iterable[Picture],
     options: LevelSetOptions | None = None,
 ) -> SurfacePoints:
-    """Points of the level set {d = level} seen by the cameras.
+    """At most `options.num_points` points of the level set {d = level} seen by the cameras, with outward normals.
 
-    Args:
-        gaussians: The trained scene.
-        cameras: One camera a view.
-        pictures: One rendered picture of these Gaussians a camera, with owners, in order; read one by one. Colours
-            best come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say
-            nothing.
-        options: The numbers. None: `options_for` these cameras.
-
-    Returns:
-        At most `options.num_points` points with outward normals.
+    The pictures, one a camera in order, are of these Gaussians, with owners; they are read one by one. Colours best
+    come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say nothing. The
+    default options are `options_for` these cameras.
 
     Raises:
         InputError: A picture has no owners, no pixel is opaque, no Gaussian is there, or no ray crosses the level.
@@ -222,12 +215,7 @@ def _march(gaussians: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, 
 
 
 def level_set_poisson(options: LevelSetOptions | None = None, reconstruction: PoissonOptions | None = None) -> Method:
-    """Return the method; its pictures need owners.
-
-    Args:
-        options: Of the sampling. None: `options_for` the cameras.
-        reconstruction: Of the Poisson stage. None: its defaults.
-    """
+    """Return the method; its pictures need owners. Options are by default `options_for` the cameras, and Poisson's."""
 
     def from_level_set(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
         surface = surface_points(gaussians, cameras, pictures, options)

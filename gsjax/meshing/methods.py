@@ -83,11 +83,7 @@ class MethodOptions:
         return replace(self, points=max(points // 10, min(points, FEWEST_TRIED)))
 
     def to_local(self, similarity: Similarity, extent: np.ndarray) -> MethodOptions:
-        """Return the options with lengths in local coordinates.
-
-        Args:
-            similarity: From world to local coordinates.
-            extent: `[P, 3]` points that span what is meshed, world.
+        """Return the options with lengths in local coordinates, by world points `[P, 3]` that span what is meshed.
 
         Raises:
             InputError: The cells are too many.

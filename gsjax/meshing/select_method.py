@@ -51,11 +51,7 @@ def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness
     """Return the first method, or of those that agree clearly more with the witness the one that agrees most.
 
     Clearly more is more by the witness' margin, or so much that no more than `UNMET` of what did not agree is left. A
-    method that finds no surface is left out.
-
-    Args:
-        candidates: By the method's name, its mesh; one mesh at a time exists. The first with a surface is the usual.
-        witness: Judges the meshes.
+    method that finds no surface is left out, and the first that finds one is the usual. One mesh at a time exists.
 
     Raises:
         InputError: No method finds a surface; or as they do.

@@ -83,7 +83,7 @@ def fitted_depth(values: np.ndarray, fit: DepthFit, kind: Kind) -> np.ndarray:
 
 
 def surface(depth: Array, camera: Camera) -> Array:
-    """`[H, W]` 1 where a fitted depth map shows a surface; 0 without depth, at slopes over `STEEPEST`, and beside them.
+    """`[H, W]` 1 where fitted depth shows a surface; 0 without depth, at slopes over `STEEPEST`, and next to them.
 
     A network draws the edge of an object as a slope from it to what lies behind, some pixels wide.
     """

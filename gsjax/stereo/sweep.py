@@ -75,11 +75,8 @@ def _windowed(values: np.ndarray) -> np.ndarray:
 def best_planes(dissimilarity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the plane of every pixel, interpolated between planes by a parabola.
 
-    Args:
-        dissimilarity: `[D, H, W]` float32, D at least 3.
-
-    Returns:
-        `[H, W]` float32 places in planes from the first, and `[H, W]` float32 dissimilarity at the nearest plane.
+    Of a dissimilarity `[D, H, W]`, D at least 3, these are `[H, W]` float32 places in planes from the first, and
+    `[H, W]` float32 dissimilarity at the nearest plane.
     """
     costs = np.ascontiguousarray(np.moveaxis(dissimilarity, 0, -1))
     smooth = smoothed(costs)

@@ -27,16 +27,9 @@ class Part:
 def split_corners(
     vertices: np.ndarray, faces: np.ndarray, values: np.ndarray, value_rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A vertex for each pair of a vertex and a value.
+    """`[P, 3]` vertices, `[F, 3]` faces and `[P, K]` values: a vertex for each pair of a vertex and a value.
 
-    Args:
-        vertices: `[V, 3]`.
-        faces: `[F, 3]` rows of vertices.
-        values: `[U, K]` what corners of triangles have.
-        value_rows: `[F, 3]` rows of values.
-
-    Returns:
-        `[P, 3]` vertices, `[F, 3]` faces and `[P, K]` values.
+    A face `[F, 3]` has rows of the vertices `[V, 3]` and, in `value_rows` `[F, 3]`, of the values `[U, K]`.
     """
     keys, corners = np.unique(faces.astype(np.int64) * len(values) + value_rows, return_inverse=True)
     return vertices[keys // len(values)], corners.reshape(-1, 3), values[keys % len(values)]
