@@ -126,11 +126,6 @@ def axes(bound: BoundGaussians) -> Array:
     return jnp.stack(full, axis=-1).reshape(-1, 3, 3).swapaxes(1, 2)
 
 
-def unit_turns(rotations: Array) -> Array:
-    """`[G, 2]` complex numbers of length 1; 0 is read as 1, with zero gradient."""
-    return jnp.stack(_unit_turns(components(rotations)), axis=-1)
-
-
 def opacities(bound: BoundGaussians) -> Array:
     """`[G]` opacities in (0, 1); 0 on a collapsed triangle, which has no side to show."""
     return _opacities_with_area(bound, _frames(*matrix_rows(_corners(bound)))[3])
@@ -232,13 +227,14 @@ def _components(bound: BoundGaussians, corners: Array) -> tuple[Matrix, Vector, 
 def _axes(corners: Matrix, turns: Vector) -> tuple[Matrix, Array]:
     """The normal `[F, 1]` and two turned directions in the plane `[F, n]`, and `[F, 1]` whether there is an area."""
     normal, first, second, has_area = _frames(*corners)
-    re, im = _unit_turns(turns)
+    re, im = unit_turns(turns)
     turned = [re * u + im * v for u, v in zip(first, second, strict=True)]
     across = [re * v - im * u for u, v in zip(first, second, strict=True)]
     return [normal, turned, across], has_area
 
 
-def _unit_turns(turns: Vector) -> Vector:
+def unit_turns(turns: Vector) -> Vector:
+    """Complex numbers of length 1, as two parts; 0 is read as 1, with zero gradient."""
     re, im = turns
     squared = re * re + im * im
     is_zero = squared < 1e-24

@@ -10,6 +10,7 @@ from gsjax.binding.mixed_gaussians import MixedGaussians, with_free
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, rotation_matrices, take
 from gsjax.scene.meshes import Mesh
+from rasterizer.covariances import components
 
 MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its place on the mesh is another's.
 
@@ -66,7 +67,7 @@ def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians
     stretch = np.tile(np.eye(2), (len(before), 1, 1))
     stretch[usable] = after[usable] @ np.linalg.inv(before[usable])
 
-    re, im = np.asarray(unit_turns(bound.rotations), np.float64).T
+    re, im = (np.asarray(part, np.float64) for part in unit_turns(components(bound.rotations)))
     roots = np.stack([np.stack([re, -im], -1), np.stack([im, re], -1)], -2) * np.exp(bound.log_scales)[:, None, :]
     turned, scales, _ = np.linalg.svd(np.repeat(stretch, bound.per_triangle, axis=0) @ roots)
     return replace(

@@ -84,8 +84,7 @@ def _are_seen(
 def _oriented_like(faces: np.ndarray, patches: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     """The patches, turned about where they run along the rim in the direction in which the triangles there do."""
     base = int(faces.max()) + 1
-    along = {side: _directed(part, base) for side, part in (("rim", faces), ("patch", patches))}
-    same = np.isin(along["patch"], along["rim"]).reshape(-1, 3).sum(axis=1)
+    same = np.isin(_directed(patches, base), _directed(faces, base)).reshape(-1, 3).sum(axis=1)
     turned = np.bincount(labels, same, count) > 0
     return np.where(turned[labels][:, None], patches[:, ::-1], patches)
 

@@ -165,12 +165,21 @@ def shows_surface(picture: Picture) -> np.ndarray:
     return (np.asarray(picture.alphas) > MIN_ALPHA) & (depth > 0) & np.isfinite(depth)
 
 
-def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng) -> Rays:
+def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng: np.random.Generator) -> Rays:
     """Random opaque pixels of every view, no pixel twice, back-projected at their centres."""
-    views = [
-        _rays_of_view(index, camera, picture, place, rays_per_view, rng)
-        for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
-    ]
+    views = []
+    for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
+        check_sizes(index, camera, picture)
+        if picture.owners is None:
+            hint = "draw pictures with gallery.pictures(..., with_owners=True), or leave them out"
+            raise InputError(f"view {index}: its picture does not say which Gaussian each pixel hit; {hint}")
+        depth, owners = np.asarray(picture.depth), place[picture.owners]
+        rows, columns = np.nonzero(shows_surface(picture) & (owners >= 0))
+        sample = rng.permutation(len(rows))[:rays_per_view]
+        rows, columns = rows[sample], columns[sample]
+        hits, directions = world_points(camera, depth, rows, columns)
+        colors = to_bytes(np.asarray(picture.colors)[rows, columns])
+        views.append((hits.astype(np.float32), directions.astype(np.float32), colors, owners[rows, columns]))
     rays = [np.concatenate(parts) for parts in zip(*views, strict=True)] if views else [np.zeros((0, 3))]
     if not len(rays[0]):
         raise NoSurfaceError(
@@ -178,23 +187,6 @@ def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng) ->
             " and an owner that is opaque"
         )
     return Rays(*rays)
-
-
-def _rays_of_view(
-    index: int, camera: Camera, picture: Picture, place: np.ndarray, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, ...]:
-    """Arrays (hits, directions, colours, owners) of one view."""
-    check_sizes(index, camera, picture)
-    if picture.owners is None:
-        hint = "draw pictures with gallery.pictures(..., with_owners=True), or leave them out"
-        raise InputError(f"view {index}: its picture does not say which Gaussian each pixel hit; {hint}")
-    depth, owners = np.asarray(picture.depth), place[picture.owners]
-    rows, columns = np.nonzero(shows_surface(picture) & (owners >= 0))
-    sample = rng.permutation(len(rows))[:count]
-    rows, columns = rows[sample], columns[sample]
-    hits, directions = world_points(camera, depth, rows, columns)
-    colors = to_bytes(np.asarray(picture.colors)[rows, columns])
-    return hits.astype(np.float32), directions.astype(np.float32), colors, owners[rows, columns]
 
 
 def _march(gaussians: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, ...]:

@@ -14,7 +14,6 @@ from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera, viewmat_center
 from gsjax.scene.meshes import Mesh, face_normals
 
-BACKGROUND = np.ones(3)
 SIDE = 4  # Rays along a pixel, and down it, whose mean is its colour where edges are to be smooth.
 RAYS_AT_ONCE = 1 << 20
 BACK_FACE = np.array([0.45, 0.0, 0.0])  # Dark red: seen from its inner side.
@@ -85,7 +84,7 @@ def render_mesh(
     """
     hits, pixels = _hits(mesh, cast or ray_caster(mesh), viewmat, K, width, height)
     is_back = np.sum(hits.normals * hits.rays, axis=-1, keepdims=True) > 0
-    picture = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
+    picture = np.ones((height * width, 3))
     picture[pixels] = np.where(is_back, BACK_FACE, shading(hits))
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8).reshape(height, width, 3)
 

@@ -70,17 +70,12 @@ def read_stereo_maps(run: Path) -> dict[str, StereoMap] | None:
         maps = {name: StereoMap(*(arrays[f"{name}/{field}"] for field in StereoMap._fields)) for name in names}
     except KeyError as fault:
         raise InputError(f"{run / FILE}: has no {fault.args[0]}") from None
-    for name, each in maps.items():
-        if not _is_map(each):
+    for name, (depth, normals) in maps.items():
+        types = depth.dtype == np.float32 and normals.dtype == np.int8
+        shapes = depth.ndim == 2 and depth.size > 0 and normals.shape == (*depth.shape, 3)
+        if not (types and shapes and np.all(np.isfinite(depth) & (depth >= 0))):
             raise InputError(f"{run / FILE}: damaged, {name} has no depth and normals of one size")
     return maps
-
-
-def _is_map(stereo_map: StereoMap) -> bool:
-    depth, normals = stereo_map
-    types = depth.dtype == np.float32 and normals.dtype == np.int8
-    shapes = depth.ndim == 2 and depth.size > 0 and normals.shape == (*depth.shape, 3)
-    return types and shapes and bool(np.all(np.isfinite(depth) & (depth >= 0)))
 
 
 def witnessed_normals(normals: np.ndarray, stereo: np.ndarray, color: np.ndarray) -> np.ndarray:
