@@ -20,7 +20,7 @@ from gsjax import gaussians, rendering
 from gsjax.analytic import solids
 from gsjax.binding import bound as binding
 from gsjax.binding import refinement
-from gsjax.binding.mesh_terms import mesh_graph
+from gsjax.binding.mesh_terms import neighboring_faces
 from gsjax.binding.mixed_gaussians import MixedGaussians
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.meshing import density_field
@@ -120,7 +120,7 @@ def test_a_step_of_the_refinement(target):
     step = refinement.make_refine_step(optimizer, weights, **how)
     state = refinement.initial_state(MixedGaussians(sheet), optimizer)
     here = batches.replace(target[0], normals=np.full((24, 32, 3), 40, np.int8))
-    assert not rough_products(step, mesh_graph(np.asarray(sheet.faces)), state, here, jax.random.key(0))
+    assert not rough_products(step, neighboring_faces(np.asarray(sheet.faces)), state, here, jax.random.key(0))
 
 
 FEW = cloud(30, seed=1)

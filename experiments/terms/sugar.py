@@ -128,7 +128,7 @@ def _disagreement(sample: Sample, normals: Array, thickness: Array) -> Array:
 
 
 def _kernels_around(field: Kernels, ids: Array) -> Kernels:
-    """The kernels of a row of `gsjax.meshing.knn`, `[k]` ids whose first is its own; that one again stands for none."""
+    """The kernels of a row of `nearest_table`, `[k]` ids whose first is its own; that one again stands for none."""
     again = (ids == ids[0]).at[0].set(False)
     nearby = density_field.take(field, ids)
     return replace(nearby, opacities=jnp.where(again, 0, nearby.opacities))

@@ -10,7 +10,7 @@ from jax import Array
 from scipy.spatial import KDTree
 
 from gsjax.gaussians import Gaussians, is_alive
-from gsjax.meshing.knn import nearest_table
+from gsjax.meshing.neighborhood import nearest_table
 from gsjax.rendering import View
 from gsjax.scene.batches import Batch
 

@@ -77,28 +77,16 @@ def bind(
     opacity: float = 0.9,
     pixel_filter: PixelFilter = "mip",
 ) -> BoundGaussians:
-    """Round Gaussians on every triangle, as wide as the layout and the shortest edge allow.
+    """Round Gaussians on every triangle, on the device, as wide as the layout and the shortest edge allow.
 
     Args:
-        mesh: Vertices, triangles and the colours that the Gaussians start with.
+        mesh: Vertices, triangles, one at least, and the colours that the Gaussians start with.
         per_triangle: 1, 3, 4 or 6.
-        thickness: Standard deviation along the normal, scene units.
+        thickness: Standard deviation along the normal, scene units, above 0.
         sh_degree: Degree of the harmonics, zero above the constant band.
-        opacity: Of every Gaussian, 0..1.
+        opacity: Of every Gaussian, between 0 and 1.
         pixel_filter: How they are to be drawn; the classic one bends the geometry (docs/meshes.md#refinement).
-
-    Returns:
-        Gaussians on the device.
-
-    Raises:
-        ValueError: There is no such layout, the thickness or opacity is out of range, or there are no triangles.
     """
-    if per_triangle not in LAYOUTS:
-        raise ValueError(f"per_triangle={per_triangle} is none of {', '.join(map(str, LAYOUTS))}")
-    if not thickness > 0 or not 0 < opacity < 1:
-        raise ValueError(f"thickness={thickness} must be above 0, opacity={opacity} between 0 and 1")
-    if not mesh.num_faces:
-        raise ValueError("a mesh without triangles carries no Gaussians")
     barycentric, radius = LAYOUTS[per_triangle]
     corners = mesh.vertices.astype(np.float64)[mesh.faces]
     shortest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).min(axis=1)
@@ -136,11 +124,6 @@ def axes(bound: BoundGaussians) -> Array:
     columns, _ = _axes(*_components(bound, _corners(bound))[:2])
     full = [jnp.broadcast_to(part, columns[1][0].shape) for column in columns for part in column]
     return jnp.stack(full, axis=-1).reshape(-1, 3, 3).swapaxes(1, 2)
-
-
-def unit_turns(rotations: Array) -> Array:
-    """`[G, 2]` complex numbers of length 1; 0 is read as 1, with zero gradient."""
-    return jnp.stack(_unit_turns(components(rotations)), axis=-1)
 
 
 def opacities(bound: BoundGaussians) -> Array:
@@ -195,8 +178,7 @@ def to_mesh(bound: BoundGaussians) -> Mesh:
 
 
 def _faces(bound: BoundGaussians) -> Array:
-    if bound.faces is None:
-        raise ValueError("these are free parameters without faces")
+    assert bound.faces is not None, "these are free parameters without faces"
     return bound.faces
 
 
@@ -245,13 +227,14 @@ def _components(bound: BoundGaussians, corners: Array) -> tuple[Matrix, Vector, 
 def _axes(corners: Matrix, turns: Vector) -> tuple[Matrix, Array]:
     """The normal `[F, 1]` and two turned directions in the plane `[F, n]`, and `[F, 1]` whether there is an area."""
     normal, first, second, has_area = _frames(*corners)
-    re, im = _unit_turns(turns)
+    re, im = unit_turns(turns)
     turned = [re * u + im * v for u, v in zip(first, second, strict=True)]
     across = [re * v - im * u for u, v in zip(first, second, strict=True)]
     return [normal, turned, across], has_area
 
 
-def _unit_turns(turns: Vector) -> Vector:
+def unit_turns(turns: Vector) -> Vector:
+    """Complex numbers of length 1, as two parts; 0 is read as 1, with zero gradient."""
     re, im = turns
     squared = re * re + im * im
     is_zero = squared < 1e-24

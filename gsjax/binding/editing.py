@@ -10,6 +10,7 @@ from gsjax.binding.mixed_gaussians import MixedGaussians, with_free
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, rotation_matrices, take
 from gsjax.scene.meshes import Mesh
+from rasterizer.covariances import components
 
 MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its place on the mesh is another's.
 
@@ -17,14 +18,8 @@ MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its p
 def rebound(mesh: Mesh, gaussians: Gaussians) -> MixedGaussians:
     """The scene of which `gsjax.binding.bound.to_mesh` and `gsjax.binding.mixed_gaussians.all_gaussians` made these.
 
-    The bound ones stand first and are all equally thick, to the bit; from the first that is not, they are free.
-
-    Args:
-        mesh: With its vertices and faces in the order in which they were written.
-        gaussians: Likewise.
-
-    Returns:
-        Gaussians on the device, ready to be edited, trained or drawn.
+    The bound ones stand first and are all equally thick, to the bit; from the first that is not, they are free. The
+    vertices and faces are in the order in which they were written, as are the Gaussians.
 
     Raises:
         InputError: The Gaussians are not those of the mesh.
@@ -55,18 +50,11 @@ def rebound(mesh: Mesh, gaussians: Gaussians) -> MixedGaussians:
 
 
 def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians:
-    """The Gaussians after the vertices were moved: each is stretched and turned in its plane as its triangle is.
+    """The Gaussians after the vertices were moved, to `[V, 3]`: each is stretched and turned as its triangle is.
 
     Means and normals follow the vertices by themselves. The in-plane covariance S of a Gaussian becomes J S J^T, J
     being the map that takes the old triangle to the new one, so a rigid motion or a scaling of the whole mesh moves
     all but the thickness exactly. Gaussians of a triangle that was or becomes collapsed keep their shape.
-
-    Args:
-        bound: Before the edit.
-        vertices: `[V, 3]` new positions of the same vertices.
-
-    Returns:
-        After the edit.
 
     Raises:
         ValueError: Another number of vertices.
@@ -79,7 +67,7 @@ def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians
     stretch = np.tile(np.eye(2), (len(before), 1, 1))
     stretch[usable] = after[usable] @ np.linalg.inv(before[usable])
 
-    re, im = np.asarray(unit_turns(bound.rotations), np.float64).T
+    re, im = (np.asarray(part, np.float64) for part in unit_turns(components(bound.rotations)))
     roots = np.stack([np.stack([re, -im], -1), np.stack([im, re], -1)], -2) * np.exp(bound.log_scales)[:, None, :]
     turned, scales, _ = np.linalg.svd(np.repeat(stretch, bound.per_triangle, axis=0) @ roots)
     return replace(

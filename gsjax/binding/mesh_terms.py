@@ -1,6 +1,4 @@
-"""Terms that keep a mesh smooth while its vertices are trained, and the neighbourhoods that they read."""
-
-from dataclasses import dataclass
+"""The term that keeps a mesh smooth while its vertices are trained, and the neighbours that it reads."""
 
 import jax
 import jax.numpy as jnp
@@ -11,16 +9,8 @@ from rasterizer.covariances import Vector, components, cross, dot, matrix_rows
 from rasterizer.tracing import walled
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class MeshGraph:
-    """Who is next to whom in a mesh."""
-
-    face_pairs: Array  # [P, 2] int32 triangles with a common edge that they run along in opposite directions
-
-
-def mesh_graph(faces: np.ndarray) -> MeshGraph:
-    """The neighbourhoods of `[F, 3]` faces.
+def neighboring_faces(faces: np.ndarray) -> Array:
+    """`[P, 2]` int32 pairs of `[F, 3]` faces with a common edge that they run along in opposite directions.
 
     At an edge of more than two triangles, one pair is taken. Triangles with a corner twice have no neighbours.
     """
@@ -33,19 +23,19 @@ def mesh_graph(faces: np.ndarray) -> MeshGraph:
     is_forward = directed[:, 0] < directed[:, 1]
     _, forward, backward = np.intersect1d(keys[is_forward], keys[~is_forward], return_indices=True)
     pairs = np.stack([owners[is_forward][forward], owners[~is_forward][backward]], axis=-1)
-    return MeshGraph(jnp.asarray(pairs, jnp.int32))
+    return jnp.asarray(pairs, jnp.int32)
 
 
-def normal_consistency(vertices: Array, faces: Array, graph: MeshGraph) -> Array:
+def normal_consistency(vertices: Array, faces: Array, face_pairs: Array) -> Array:
     """Mean of 1 - cos between the normals of neighbouring triangles (0 on a plane, 2 on a fold); 0 without neighbours.
 
     A pair with a collapsed triangle says nothing and has no gradient.
     """
     is_there = jnp.any(jnp.isfinite(vertices))
     normals = jnp.stack(walled(jax.checkpoint(_normals), is_there, *matrix_rows(vertices[faces])), axis=-1)
-    first, second = (components(normals[graph.face_pairs[:, i]]) for i in range(2))
+    first, second = (components(normals[face_pairs[:, i]]) for i in range(2))
     lengths = jax.lax.stop_gradient(dot(first, first) * dot(second, second))
-    return jnp.sum(lengths - dot(first, second)) / max(graph.face_pairs.shape[0], 1)
+    return jnp.sum(lengths - dot(first, second)) / max(face_pairs.shape[0], 1)
 
 
 def _normals(a: Vector, b: Vector, c: Vector) -> Vector:

@@ -34,12 +34,10 @@ class MixedGaussians:
 
 
 def with_free(bound: BoundGaussians, free: Gaussians) -> MixedGaussians:
-    """Bound and free Gaussians as one scene, on the device.
+    """Bound and any number of free Gaussians as one scene, on the device.
 
-    Args:
-        bound: Those of the mesh.
-        free: Any number of others. They take on the pixel filter and the degree of harmonics of `bound`: bands beyond
-            it are cut, missing ones are zero.
+    The free take on the pixel filter and the degree of harmonics of the bound: bands beyond it are cut, missing ones
+    are zero.
     """
     if not free.num_gaussians:
         return MixedGaussians(bound)

@@ -21,7 +21,6 @@ from jax import Array
 from gsjax import rendering
 from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS, BoundGaussians
-from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.binding.mixed_gaussians import MixedGaussians
 from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
@@ -123,21 +122,21 @@ class Refinement:
         return math.ceil(self.photo_refine_at * self.steps)
 
 
-_FAST_RATES = {
-    "vertices": 1.5e-3,
-    "sh_dc": 0.005,
-    "sh_rest": 2e-3,
-    "scales": 0.02,
-    "rotations": 0.02,
-    "final_share": 0.1,
-}
 PHOTO_REFINE_AT = 0.6  # Before the rates fall: colours have to follow the mesh (docs/meshes.md#refinement).
 _FAST = {
     "steps": 1_000,
     "faces": 30_000,
     "halved_share": 0.5,
     "photo_refine_at": PHOTO_REFINE_AT,
-    "rates": {**_FAST_RATES, "free": RATES},
+    "rates": {
+        "vertices": 1.5e-3,
+        "sh_dc": 0.005,
+        "sh_rest": 2e-3,
+        "scales": 0.02,
+        "rotations": 0.02,
+        "final_share": 0.1,
+        "free": RATES,
+    },
 }
 _SUGAR = {"sh_every": 1_000, "rates": {"decay_steps": 30_000}}  # the same at each of its lengths
 PRESETS: dict[str, dict[str, Any]] = {
@@ -170,7 +169,7 @@ class RefineProgress(NamedTuple):
 
 def refine(
     settings: Refinement,
-    graph: MeshGraph,
+    face_pairs: Array,
     data: Batches,
     state: RefineState,
     optimizer: optimizers.Optimizer,
@@ -184,7 +183,7 @@ def refine(
 
     Args:
         settings: The run.
-        graph: Of the faces, see `gsjax.binding.mesh_terms.mesh_graph`.
+        face_pairs: Of the mesh, see `gsjax.binding.mesh_terms.neighboring_faces`.
         data: The photos.
         state: Where to start. Its buffers are taken.
         optimizer: The transformation that made the state.
@@ -208,10 +207,7 @@ def refine(
 
     def step_of(weights: RefinementWeights, capacity: int):
         step = make_refine_step(optimizer, weights, capacity=capacity, background=background, sh_every=sh_every)
-        return partial(step, graph)
-
-    def compiled(capacity: int):
-        return step_of(weights, capacity)
+        return partial(step, face_pairs)
 
     def explain(step: int, state: RefineState, target: Batch, capacity: int) -> str:
         terms = vars(weights)
@@ -233,7 +229,9 @@ def refine(
 
     steps = (int(state.step), settings.steps)
     capacity = capacity or chosen_capacity(state.gaussians, data)
-    state, _ = advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity, explain=explain)
+    state, _ = advance(
+        partial(step_of, weights), after, state, data, steps, seed=settings.seed, capacity=capacity, explain=explain
+    )
     return state
 
 
@@ -254,13 +252,13 @@ def make_refine_step(
     capacity: int,
     background: Background,
     sh_every: int,
-) -> Callable[[MeshGraph, RefineState, Batch, Array], tuple[RefineState, Metrics]]:
-    """The compiled step: (graph, state, what one view shows, key) -> (state, metrics). The state is donated.
+) -> Callable[[Array, RefineState, Batch, Array], tuple[RefineState, Metrics]]:
+    """The compiled step: (pairs of faces, state, what one view shows, key) -> (state, metrics). The state is donated.
 
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
     """
 
-    def objective(parameters: MixedGaussians, state: RefineState, graph: MeshGraph, batch: Batch, color: Array):
+    def objective(parameters: MixedGaussians, state: RefineState, face_pairs: Array, batch: Batch, color: Array):
         gaussians = with_faces(parameters, state.gaussians.bound.faces)
         view = rendering.render(
             gaussians,
@@ -269,7 +267,7 @@ def make_refine_step(
             background=backdrop.color_behind(color, batch.camera),
             active_degree=active_degrees(gaussians, state.step // sh_every),
         )
-        terms = weigh_terms(vars(weights), {**TERMS, "normal_consistency": _normal_consistency(graph)})
+        terms = weigh_terms(vars(weights), {**TERMS, "normal_consistency": _normal_consistency(face_pairs)})
         total, losses, error = weighted_loss(terms, None, gaussians, view, batch)
         return total, (losses, error, view.splats.pairs)
 
@@ -281,12 +279,12 @@ def make_refine_step(
         return RefineState(with_faces(parameters, state.gaussians.bound.faces), opt_state, step)
 
     @partial(jax.jit, donate_argnums=1)
-    def refine_step(graph: MeshGraph, state: RefineState, target: Batch, key: Array):
+    def refine_step(face_pairs: Array, state: RefineState, target: Batch, key: Array):
         def differentiate(state: RefineState, target: Batch, color: Array, key: Array):
             del key
             parameters, batch = with_faces(state.gaussians, None), batches.decode(target, color)
             (total, (losses, error, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
-                parameters, state, graph, batch, color
+                parameters, state, face_pairs, batch, color
             )
             metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
             return gradients, Outcome(metrics, pairs.overflowed)
@@ -341,11 +339,9 @@ def vertex_rate(settings: Refinement, extent: float, num_vertices: int) -> optax
     return optax.join_schedules([falling, optax.constant_schedule(0.0)], [settings.moving_steps])
 
 
-def _normal_consistency(graph: MeshGraph) -> Term:
-    """The term of the mesh, see `gsjax.binding.mesh_terms.normal_consistency`."""
-
+def _normal_consistency(face_pairs: Array) -> Term:
     def loss(gaussians: MixedGaussians, view: rendering.View, batch: Batch) -> Array:
         del view, batch
-        return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, graph)
+        return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, face_pairs)
 
     return Term(loss, {"gaussians"})

@@ -7,8 +7,7 @@ its own, at once whatever the size of the mesh, but with seams everywhere. `unwr
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,47 +44,35 @@ class TexturedMesh:
     texture: np.ndarray  # [H, W, 3] uint8 sRGB
 
 
-Unwrap = Callable[[Mesh, int], Atlas]
-
-
-class NotUnfoldedError(Exception):
-    """The charts of a mesh could not be made."""
-
-
 def unwrap(mesh: Mesh, size: int) -> Atlas:
-    """Charts; cells for more than 1.5 million triangles, and where xatlas fails.
+    """Charts in a square of `size` texels; cells for more than 1.5 million triangles, and where there are no charts.
 
-    Args:
-        mesh: What to unwrap. Triangles without area are welcome.
-        size: Side of the texture, texels.
+    Triangles without area are welcome.
 
     Raises:
         InputError: The texture has no room for so many triangles.
     """
-    if mesh.num_faces <= MOST_CHARTED_FACES:
-        try:
-            return charts(mesh, size)
-        except NotUnfoldedError:
-            pass
-    return cells(mesh, size)
+    atlas = charts(mesh, size) if mesh.num_faces <= MOST_CHARTED_FACES else None
+    return cells(mesh, size) if atlas is None else atlas
 
 
-def charts(mesh: Mesh, size: int) -> Atlas:
+def charts(mesh: Mesh, size: int) -> Atlas | None:
     """Connected pieces, unfolded with little distortion and packed about `PADDING` texels apart.
 
-    Raises:
-        NotUnfoldedError: xatlas is absent, crashed, took longer than a quarter of an hour, or the texture is too small.
+    None where xatlas is absent, crashes or takes longer than a quarter of an hour, or the texture is too small.
     """
     areas = np.linalg.norm(face_area_vectors(mesh), axis=1)
     solid = np.flatnonzero(areas > 0)
     if not len(solid):
-        raise NotUnfoldedError("no triangle has an area")
+        return None
     # xatlas compares areas with absolute bounds: the mean triangle gets area 1.
     scaled = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(areas[solid].mean())
     arrays = _unfolded(scaled.astype(np.float32), mesh.faces[solid], size)
+    if arrays is None:
+        return None
     extent = np.array([arrays["width"], arrays["height"]], np.float64)
     if PADDING * size / extent.max() < LEAST_PADDING:
-        raise NotUnfoldedError(f"{size} px are too few for charts that take {extent.max():.0f}")
+        return None
     faces = np.zeros((mesh.num_faces, 3), np.int32)
     faces[solid] = arrays["faces"]
     laid_out = Atlas(
@@ -139,18 +126,18 @@ def doubled_areas(corners: np.ndarray) -> np.ndarray:
     return x1 * y2 - x2 * y1
 
 
-def _unfolded(vertices: np.ndarray, faces: np.ndarray, size: int) -> dict[str, np.ndarray]:
-    """What `xatlas_process.py` writes, run as a process of its own: xatlas can crash, and takes the process with it."""
+def _unfolded(vertices: np.ndarray, faces: np.ndarray, size: int) -> dict[str, np.ndarray] | None:
+    """What `xatlas_process.py` writes, if anything; a process of its own, as a crash of xatlas ends its process."""
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder, "mesh.npz"), Path(folder, "atlas.npz")
         np.savez(source, vertices=vertices, faces=faces.astype(np.uint32), size=size, padding=PADDING)
         command = [sys.executable, str(XATLAS_PROCESS), str(source), str(target)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=MOST_SECONDS)
-        except subprocess.TimeoutExpired as error:
-            raise NotUnfoldedError(f"xatlas took longer than {MOST_SECONDS:.0f} s") from error
+            done = subprocess.run(command, capture_output=True, timeout=MOST_SECONDS)
+        except subprocess.TimeoutExpired:
+            return None
         if done.returncode or not target.exists():
-            raise NotUnfoldedError(f"xatlas ended with code {done.returncode}: {done.stderr.strip()[-200:]}")
+            return None
         with np.load(target) as arrays:
             return dict(arrays)
 
@@ -167,10 +154,9 @@ def _flat_faces_at_a_corner(atlas: Atlas, mesh: Mesh) -> Atlas:
     points = np.repeat(place[corners[:, 0]], 3)
     faces = atlas.faces.copy()
     faces[is_flat] = len(atlas.uvs) + np.arange(corners.size, dtype=np.int32).reshape(-1, 3)
-    return Atlas(
+    return replace(
+        atlas,
         uvs=np.concatenate([atlas.uvs, atlas.uvs[points]]),
         vertices=np.concatenate([atlas.vertices, corners.ravel()]).astype(np.int32),
         faces=faces,
-        size=atlas.size,
-        num_charts=atlas.num_charts,
     )

@@ -46,14 +46,16 @@ def edge_table(faces: np.ndarray) -> EdgeTable:
     return EdgeTable(pairs, counts, np.maximum(forward, counts - forward), of_face.reshape(-1, 3))
 
 
+def connected_labels(pairs: np.ndarray, count: int) -> np.ndarray:
+    """`[count]` labels of nodes, the same for those that `[P, 2]` pairs connect."""
+    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)[1]
+
+
 def face_components(faces: np.ndarray, edges: EdgeTable) -> tuple[np.ndarray, np.ndarray]:
     """`[F]` component id of each face (connected through edges), and `[C]` faces in each component."""
-    owners = np.repeat(np.arange(len(faces)), 3)
-    incidence = coo_matrix(
-        (np.ones(len(owners), bool), (owners, len(faces) + edges.of_face.reshape(-1))),
-        shape=(len(faces) + len(edges.pairs),) * 2,
-    )
-    labels = connected_components(incidence, directed=False)[1][: len(faces)]
+    incidence = np.stack([np.repeat(np.arange(len(faces)), 3), len(faces) + edges.of_face.reshape(-1)], axis=1)
+    labels = connected_labels(incidence, len(faces) + len(edges.pairs))[: len(faces)]
     return labels, np.bincount(labels)
 
 
@@ -64,8 +66,7 @@ def boundary_loops(mesh: Mesh, edges: EdgeTable) -> np.ndarray:
         return np.zeros(0)
     used, ends = np.unique(open_edges, return_inverse=True)
     ends = ends.reshape(-1, 2)
-    graph = coo_matrix((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(len(used),) * 2)
-    loop_of = connected_components(graph, directed=False)[1][ends[:, 0]]
+    loop_of = connected_labels(ends, len(used))[ends[:, 0]]
     places = mesh.vertices[open_edges].astype(np.float64)
     return np.sort(np.bincount(loop_of, np.linalg.norm(places[:, 0] - places[:, 1], axis=-1)))[::-1]
 

@@ -1,4 +1,4 @@
-"""The density field of the Gaussians near a point (paper, Eq. 1), and its gradient in closed form.
+"""The density field of the Gaussians near a point (paper, Eq. 1), its gradient, and where a ray enters the surface.
 
     d(p) = sum_g  alpha_g exp(-1/2 (p - mu_g)^T Sigma_g^-1 (p - mu_g))
 
@@ -7,6 +7,7 @@ Gaussians: a scale counts as at least 1e-8, and a squared Mahalanobis distance a
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from gsjax.gaussians import Gaussians, opacities, rotation_matrices
 MIN_LOG_SCALE = -18.420680743952367  # log 1e-8
 MAX_DISTANCE = 1e4  # standard deviations
 TINY = 1e-30  # A squared inverse deviation under this belongs to a Gaussian without bounds.
+HALVINGS = 6  # Of the step of a march that holds the crossing.
 
 
 @jax.tree_util.register_dataclass
@@ -73,13 +75,7 @@ def density_gradient(point: Array, nearby: Kernels) -> Array:
 
 
 def along_ray(origin: Array, direction: Array, nearby: Kernels) -> RayProfile:
-    """The kernels restricted to one ray: `density` at `origin + t * direction` as a function of t alone.
-
-    Args:
-        origin: `[3]` world point.
-        direction: `[3]` unit.
-        nearby: The kernels.
-    """
+    """The kernels on a ray from a world point in a unit direction, `[3]` each: `density` as a function of t alone."""
     slopes = jnp.sum(nearby.whitening * direction[None, None, :], axis=-1)
     offsets = _whitened_offsets(origin, nearby)
     squared = jnp.sum(slopes * slopes, axis=-1)
@@ -113,3 +109,78 @@ def _contributions(offsets: Array, nearby: Kernels) -> Array:
     """`[k]` alpha_g exp(-m^2 / 2)."""
     squared = jnp.minimum(jnp.sum(offsets * offsets, axis=-1), MAX_DISTANCE**2)
     return nearby.opacities * jnp.exp(-0.5 * squared)
+
+
+@partial(jax.jit, static_argnames="samples")
+def march_rays(
+    field: Kernels,
+    hits: Array,
+    directions: Array,
+    neighbor_ids: Array,
+    *,
+    level: float,
+    samples: int,
+    sigma_range: float,
+) -> tuple[Array, Array, Array]:
+    """`march_ray` for `[R, 3]` hits and directions with `[R, k]` neighbour ids, the hit Gaussian first."""
+    march = partial(march_ray, level=level, samples=samples, sigma_range=sigma_range)
+    return jax.vmap(lambda hit, direction, ids: march(take(field, ids), hit, direction))(hits, directions, neighbor_ids)
+
+
+def march_ray(
+    nearby: Kernels, hit: Array, direction: Array, *, level: float, samples: int, sigma_range: float
+) -> tuple[Array, Array, Array]:
+    """The first crossing of the level along one ray, from outside to inside.
+
+    Args:
+        nearby: `[k]` kernels that make the density; the first is the hit Gaussian.
+        hit: `[3]` world point; the march is centred near it, where the hit Gaussian is densest on the ray.
+        direction: `[3]` unit, away from the camera.
+        level: Density of the surface.
+        samples: Number of evenly spaced densities.
+        sigma_range: Half length of the march in standard deviations of the hit Gaussian along the ray.
+
+    Returns:
+        Point `[3]`, unit outward normal `[3]`, and whether there is a crossing; without one, the point and the normal
+        mean nothing but are finite.
+    """
+    profile = along_ray(hit, direction, nearby)
+
+    def density_at(t: Array) -> Array:
+        # Overlapping Gaussians add up beyond 1; opacity does not.
+        return jnp.minimum(profile_density(t, profile), 1.0)
+
+    reach = sigma_range * deviation_along(direction, take(nearby, 0))
+    # A sample on the peak cannot step over a Gaussian that is thinner than the spacing of the samples.
+    center = jnp.clip(profile.peaks[0], -reach, reach)
+    steps = center + jnp.linspace(-1.0, 1.0, samples, dtype=hit.dtype) * reach
+    inside = jax.vmap(density_at)(steps) > level
+    first = jnp.argmax(inside)
+    crossed = inside[first] & ~inside[0]
+    bracket = (steps[jnp.maximum(first - 1, 0)], steps[first])
+    point = hit + _crossing(density_at, bracket, level) * direction
+
+    gradient = density_gradient(point, nearby)
+    length = jnp.sqrt(jnp.sum(gradient * gradient))
+    has_normal = length > 0
+    normal = -gradient / jnp.where(has_normal, length, 1.0)
+    return point, normal, crossed & has_normal
+
+
+def _crossing(density_at, bracket: tuple[Array, Array], level: float) -> Array:
+    """Where the density reaches the level: halve the bracket (outside, inside), then interpolate linearly.
+
+    Interpolation alone overshoots a Gaussian much thinner than the step, and ends behind it with its normal reversed.
+    """
+
+    def halve(_, bracket):
+        outside, inside = bracket
+        middle = 0.5 * (outside + inside)
+        is_inside = density_at(middle) > level
+        return jnp.where(is_inside, outside, middle), jnp.where(is_inside, middle, inside)
+
+    outside, inside = jax.lax.fori_loop(0, HALVINGS, halve, bracket)
+    low, high = density_at(outside), density_at(inside)
+    rises = high > low
+    share = jnp.where(rises, (level - low) / jnp.where(rises, high - low, 1.0), 0.0)
+    return outside + jnp.clip(share, 0.0, 1.0) * (inside - outside)

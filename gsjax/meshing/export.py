@@ -24,13 +24,11 @@ from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.files import glb, obj, usdz
 from gsjax.meshing.files.glb_reader import read_glb
 from gsjax.meshing.files.named_files import NamedFiles
-from gsjax.meshing.files.parts import Part, TooOftenError, merge_parts, shown_colors, within_texture
-from gsjax.meshing.files.ply_reader import read_ply
+from gsjax.meshing.files.parts import Part, merge_parts, shown_colors, within_texture
+from gsjax.meshing.files.ply_reader import LONGEST_HEADER, read_ply
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.meshes import Mesh
 from gsjax.scene.similarity import as_needed, is_float32
-
-HEADER_BYTES = 65536  # Of a PLY, at most.
 
 
 @dataclass(frozen=True)
@@ -75,12 +73,9 @@ def write_mesh(path: str | Path, mesh: Mesh, place: Place = UNPLACED) -> None:
 
 
 def write_textured(path: str | Path, textured: TexturedMesh, place: Place = UNPLACED) -> None:
-    """Write a mesh with its texture, whole or not at all; of three files, the .obj that names the others comes last.
+    """Write a mesh with its texture, whole or not at all, like `write_mesh`, as .glb, .usdz or .obj.
 
-    Args:
-        path: .glb, .usdz or .obj; to the latter belong a .mtl and a .png of the same name, which are replaced too.
-        textured: What to write.
-        place: As of `write_mesh`.
+    To an .obj belong a .mtl and a .png of the same name, which are replaced too; the .obj that names them comes last.
 
     Raises:
         InputError: Another suffix, or a file cannot be written.
@@ -110,14 +105,7 @@ def read_mesh(path: str | Path) -> Mesh:
 
 
 def read_textured(path: str | Path) -> TexturedMesh | None:
-    """Read a mesh with its texture, several in one picture; None where not all of the file has one.
-
-    Args:
-        path: A .ply, .obj or .glb file.
-
-    Raises:
-        InputError: As of `read_mesh`.
-    """
+    """Read a mesh as `read_mesh` does, with its texture, several in one picture; None where not all of it has one."""
     return _textured(_read(Path(path)))
 
 
@@ -126,20 +114,14 @@ def is_mesh_file(path: Path) -> bool:
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in SUFFIXES
     with path.open("rb") as file:
-        header = file.read(HEADER_BYTES).partition(b"end_header")[0]
+        header = file.read(LONGEST_HEADER).partition(b"end_header")[0]
     return b"element face" in header and b"f_dc_0" not in header and b"packed_position" not in header
 
 
 def glb_bytes(path: str | Path) -> bytes:
     """Return the file as a GLB for a browser, with its texture or vertex colours, and unlit: photos hold their light.
 
-    A file that is a GLB already is left as it is.
-
-    Args:
-        path: A .ply, .obj or .glb file.
-
-    Raises:
-        InputError: As of `read_mesh`.
+    A file that is a GLB already is left as it is. Other files are read as `read_mesh` does.
     """
     path = Path(path)
     part = _read(path)
@@ -189,7 +171,7 @@ def _read(path: Path) -> Part:
             parts = [_require_drawable(path, part) for part in read(path, named) if len(part.faces)]
             if not parts:
                 raise InputError(f"{path}: holds no triangles")
-            part = merge_parts([_within_texture(part, named) for part in parts])
+            part = merge_parts([within_texture(part, named) for part in parts])
             return replace(
                 part, vertices=as_needed(part.vertices.astype(np.float64)), faces=part.faces.astype(np.int32)
             )
@@ -210,12 +192,3 @@ def _require_drawable(path: Path, part: Part) -> Part:
     if part.uvs is not None and (part.uvs.shape != (len(part.vertices), 2) or not is_float32(part.uvs).all()):
         raise InputError(f"{path}: places in its texture are no pairs of finite numbers")
     return part
-
-
-def _within_texture(part: Part, named: NamedFiles) -> Part:
-    """Return the part with places in 0..1; where its texture repeats too often, with colours of vertices and a line."""
-    try:
-        return within_texture(part)
-    except TooOftenError as error:
-        named.report_missing("a texture", f"cannot be laid out ({error})")
-        return replace(part, uvs=None, texture=None)

@@ -96,7 +96,8 @@ def _part(
     count = int(region.contains(samples.points).sum())
     if not count:
         low, high = region.corners(similarity)
-        first, last = (_rounded(similarity.points_to_world(end(samples.points, axis=0))) for end in (np.min, np.max))
+        ends = (similarity.points_to_world(end(samples.points, axis=0)) for end in (np.min, np.max))
+        first, last = (end.round(3).tolist() for end in ends)
         raise NoSurfaceError(
             f"no mesh: the box {low} to {high} holds none of {len(samples.points)} surface points, "
             f"which span {first} to {last}"
@@ -104,10 +105,6 @@ def _part(
     rough, build_report = samples.build(region)
     mesh, cleaning = clean(cut_to_region(rough, region), min_component_share=min_component_share, max_faces=max_faces)
     return mesh, {"box": region.corners(similarity), "points_seen": count, **build_report, "cleaning": asdict(cleaning)}
-
-
-def _rounded(point: np.ndarray) -> list[float]:
-    return point.round(3).tolist()
 
 
 def cut_to_region(mesh: Mesh, region: Region) -> Mesh:

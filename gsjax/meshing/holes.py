@@ -28,11 +28,8 @@ def fill_holes(mesh: Mesh, views: Sequence[CoarseDepth]) -> tuple[Mesh, HoleRepo
     """Closes a hole where at most of its points at least two views show a surface, and no fewer than look through it.
 
     A view supports a point whose depth is within `SAME_SURFACE` of the one that it shows there, and looks through the
-    point where it shows a greater one. The patches are Open3D's (VTK's): triangles between vertices of the rim.
-
-    Args:
-        mesh: Oriented, clean.
-        views: What the Gaussians show, see `gsjax.rendering.coarse_depths`.
+    point where it shows a greater one. The patches are Open3D's (VTK's): triangles between vertices of the rim. The
+    mesh is oriented and clean.
 
     Returns:
         The mesh with the same vertices and more triangles, oriented like those around them; and what was closed.
@@ -87,8 +84,7 @@ def _are_seen(
 def _oriented_like(faces: np.ndarray, patches: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
     """The patches, turned about where they run along the rim in the direction in which the triangles there do."""
     base = int(faces.max()) + 1
-    along = {side: _directed(part, base) for side, part in (("rim", faces), ("patch", patches))}
-    same = np.isin(along["patch"], along["rim"]).reshape(-1, 3).sum(axis=1)
+    same = np.isin(_directed(patches, base), _directed(faces, base)).reshape(-1, 3).sum(axis=1)
     turned = np.bincount(labels, same, count) > 0
     return np.where(turned[labels][:, None], patches[:, ::-1], patches)
 
@@ -96,8 +92,6 @@ def _oriented_like(faces: np.ndarray, patches: np.ndarray, labels: np.ndarray, c
 def _conflicts(faces: np.ndarray, added: np.ndarray) -> np.ndarray:
     """`[A]` bool: added triangles with an edge that another triangle has in the same direction."""
     both = np.concatenate([faces, added])
-    if not len(both):
-        return np.zeros(0, bool)
     _, places, counts = np.unique(_directed(both, int(both.max()) + 1), return_inverse=True, return_counts=True)
     return np.any(counts[places].reshape(-1, 3) > 1, axis=1)[len(faces) :]
 

@@ -17,7 +17,6 @@ from gsjax import gaussians as gs
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field
-from gsjax.meshing.level_crossing import march_rays
 from gsjax.meshing.mesh_method import Method, SurfaceSamples, poisson_through
 from gsjax.meshing.neighborhood import Neighborhood
 from gsjax.meshing.poisson import PoissonOptions
@@ -46,13 +45,6 @@ class LevelSetOptions:
     level: float = 0.3  # density of the surface; SuGaR takes 0.1, 0.3 or 0.5
     num_points: int = 10_000_000  # most points, over all views
 
-    def __post_init__(self):
-        """Check ranges."""
-        if not 0 < self.level < 1:
-            raise InputError(f"level {self.level} is not between 0 and 1")
-        if self.num_points < 1:
-            raise InputError(f"number of surface points {self.num_points} is below 1")
-
 
 def options_for(cameras: Sequence[Camera]) -> LevelSetOptions:
     """SuGaR's numbers with as many points as the photos bear: an eighth of their pixels, 200,000 to 10 million."""
@@ -68,7 +60,6 @@ class SurfacePoints:
     points: np.ndarray  # [P, 3] float32 world
     normals: np.ndarray  # [P, 3] float32 unit, world, outward: towards the camera that saw the point
     colors: np.ndarray  # [P, 3] uint8 sRGB
-    view_ids: np.ndarray  # [P] int32 index of the camera
     rays: int  # marched
     crossings: int  # rays that crossed the level; a random part of them is kept where there are more than requested
     flipped: int  # of the crossings, those whose density gradient faced away from the camera
@@ -87,7 +78,6 @@ class Rays:
     hits: np.ndarray  # [R, 3] float32 the pixel's point at the rendered depth
     directions: np.ndarray  # [R, 3] float32 unit, away from the camera
     colors: np.ndarray  # [R, 3] uint8
-    view_ids: np.ndarray  # [R] int32
     owners: np.ndarray  # [R] int32 the Gaussian that was hit, of those that make the density
 
 
@@ -96,28 +86,18 @@ def surface_points(
     cameras: Sequence[Camera],
     pictures: Iterable[Picture],
     options: LevelSetOptions | None = None,
-    *,
-    seed: int = 0,
 ) -> SurfacePoints:
-    """Points of the level set {d = level} seen by the cameras.
+    """At most `options.num_points` points of the level set {d = level} seen by the cameras, with outward normals.
 
-    Args:
-        gaussians: The trained scene.
-        cameras: One camera a view.
-        pictures: One rendered picture of these Gaussians a camera, with owners, in order; read one by one. Colours
-            best come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say
-            nothing.
-        options: The numbers. None: `options_for` these cameras.
-        seed: Of the random choice of pixels.
-
-    Returns:
-        At most `options.num_points` points with outward normals.
+    The pictures, one a camera in order, are of these Gaussians, with owners; they are read one by one. Colours best
+    come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say nothing. The
+    default options are `options_for` these cameras.
 
     Raises:
         InputError: A picture has no owners, no pixel is opaque, no Gaussian is there, or no ray crosses the level.
     """
     options = options_for(cameras) if options is None else options
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     ids = opaque_ids(gaussians)
     per_view = options.num_points // max(len(cameras), 1) + 1
     place = np.full(gaussians.num_gaussians + 1, -1, np.int32)  # Of each Gaussian among the opaque ones; -1 stays -1.
@@ -140,7 +120,6 @@ def surface_points(
         points=points[sample],
         normals=normals[sample],
         colors=rays.colors[sample],
-        view_ids=rays.view_ids[sample],
         rays=len(crossed),
         crossings=len(ids),
         flipped=int(away[ids].sum()),
@@ -186,12 +165,21 @@ def shows_surface(picture: Picture) -> np.ndarray:
     return (np.asarray(picture.alphas) > MIN_ALPHA) & (depth > 0) & np.isfinite(depth)
 
 
-def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng) -> Rays:
+def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng: np.random.Generator) -> Rays:
     """Random opaque pixels of every view, no pixel twice, back-projected at their centres."""
-    views = [
-        _rays_of_view(index, camera, picture, place, rays_per_view, rng)
-        for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
-    ]
+    views = []
+    for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
+        check_sizes(index, camera, picture)
+        if picture.owners is None:
+            hint = "draw pictures with gallery.pictures(..., with_owners=True), or leave them out"
+            raise InputError(f"view {index}: its picture does not say which Gaussian each pixel hit; {hint}")
+        depth, owners = np.asarray(picture.depth), place[picture.owners]
+        rows, columns = np.nonzero(shows_surface(picture) & (owners >= 0))
+        sample = rng.permutation(len(rows))[:rays_per_view]
+        rows, columns = rows[sample], columns[sample]
+        hits, directions = world_points(camera, depth, rows, columns)
+        colors = to_bytes(np.asarray(picture.colors)[rows, columns])
+        views.append((hits.astype(np.float32), directions.astype(np.float32), colors, owners[rows, columns]))
     rays = [np.concatenate(parts) for parts in zip(*views, strict=True)] if views else [np.zeros((0, 3))]
     if not len(rays[0]):
         raise NoSurfaceError(
@@ -201,29 +189,11 @@ def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng) ->
     return Rays(*rays)
 
 
-def _rays_of_view(
-    index: int, camera: Camera, picture: Picture, place: np.ndarray, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, ...]:
-    """Arrays (hits, directions, colours, view ids, owners) of one view."""
-    check_sizes(index, camera, picture)
-    if picture.owners is None:
-        hint = "draw pictures with gallery.pictures(..., with_owners=True), or leave them out"
-        raise InputError(f"view {index}: its picture does not say which Gaussian each pixel hit; {hint}")
-    depth, owners = np.asarray(picture.depth), place[picture.owners]
-    rows, columns = np.nonzero(shows_surface(picture) & (owners >= 0))
-    sample = rng.permutation(len(rows))[:count]
-    rows, columns = rows[sample], columns[sample]
-    hits, directions = world_points(camera, depth, rows, columns)
-    colors = to_bytes(np.asarray(picture.colors)[rows, columns])
-    views = np.full(len(rows), index, np.int32)
-    return hits.astype(np.float32), directions.astype(np.float32), colors, views, owners[rows, columns]
-
-
 def _march(gaussians: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, ...]:
     """Points, outward normals and whether there is a crossing, of every ray, chunk by chunk."""
     nearby = Neighborhood(gaussians, NEIGHBORS)
     how = {"level": level, "samples": SAMPLES, "sigma_range": SIGMA_RANGE}
-    march = partial(march_rays, density_field.kernels(gaussians), **how)
+    march = partial(density_field.march_rays, density_field.kernels(gaussians), **how)
     total = len(rays.hits)
     crossings = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32), np.empty(total, bool)
     for start in tqdm(range(0, total, CHUNK), desc="level set", unit="chunk", delay=QUIET):
@@ -236,19 +206,11 @@ def _march(gaussians: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, 
     return crossings
 
 
-def level_set_poisson(
-    options: LevelSetOptions | None = None, reconstruction: PoissonOptions | None = None, *, seed: int = 0
-) -> Method:
-    """Return the method; its pictures need owners.
-
-    Args:
-        options: Of the sampling. None: `level_set.options_for` the cameras.
-        reconstruction: Of the Poisson stage. None: its defaults.
-        seed: Of the random choice of pixels.
-    """
+def level_set_poisson(options: LevelSetOptions | None = None, reconstruction: PoissonOptions | None = None) -> Method:
+    """Return the method; its pictures need owners. Options are by default `options_for` the cameras, and Poisson's."""
 
     def from_level_set(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
-        surface = surface_points(gaussians, cameras, pictures, options, seed=seed)
+        surface = surface_points(gaussians, cameras, pictures, options)
         report = {
             "kernels": surface.kernels,
             "rays": surface.rays,

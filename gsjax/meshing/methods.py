@@ -83,11 +83,7 @@ class MethodOptions:
         return replace(self, points=max(points // 10, min(points, FEWEST_TRIED)))
 
     def to_local(self, similarity: Similarity, extent: np.ndarray) -> MethodOptions:
-        """Return the options with lengths in local coordinates.
-
-        Args:
-            similarity: From world to local coordinates.
-            extent: `[P, 3]` points that span what is meshed, world.
+        """Return the options with lengths in local coordinates, by world points `[P, 3]` that span what is meshed.
 
         Raises:
             InputError: The cells are too many.
@@ -106,25 +102,10 @@ class MethodOptions:
 class DepthEvidence(Protocol):
     """What views show and photos imply, computed when a method reads it."""
 
-    @property
-    def normals_of(self) -> NormalsOfDepth:
-        """Normals of rendered depth, in windows that fit its noise."""
-        ...
-
-    @property
-    def rendered(self) -> Sequence[CoarseDepth]:
-        """The coarse rendered depth of every view."""
-        ...
-
-    @property
-    def stereo(self) -> Mapping[int, np.ndarray]:
-        """By the view's index, multi-view stereo depth `[h, w]` of its photo; 0 where it is unknown."""
-        ...
-
-    @property
-    def stereo_counts(self) -> bool:
-        """Whether that counts where the rendered depth contradicts it."""
-        ...
+    normals_of: NormalsOfDepth  # normals of rendered depth, in windows that fit its noise
+    rendered: Sequence[CoarseDepth]  # the coarse rendered depth of every view
+    stereo: Mapping[int, np.ndarray]  # by the view's index, stereo depth `[h, w]` of its photo; 0 where it is unknown
+    stereo_counts: bool  # whether that counts where the rendered depth contradicts it
 
 
 @dataclass(frozen=True)

@@ -6,20 +6,19 @@ from scipy.spatial import KDTree
 from gsjax import gaussians as gs
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field
-from gsjax.meshing.knn import nearest_table, with_first
 
 LARGE_SHARE = 0.25  # Of the places for neighbours: those kept for what is large.
 CANDIDATES = 2  # Of each size, for each of those places.
 REACH = 3.0  # Standard deviations beyond which a Gaussian makes no density to speak of.
 SMALLEST = 1e-8  # Standard deviations under this are of one size, scene units.
 ROWS_CHUNK = 32_768  # Rows of the table at once.
+TREE_CHUNK = 262_144  # Queries of the tree at once.
 
 
 class Neighborhood:
     """Lists of a fixed length, made once for each Gaussian and looked up for each ray."""
 
     def __init__(self, gaussians: Gaussians, neighbors: int):
-        """Of all the Gaussians, with so many of them (all, where there are fewer) around a ray."""
         centers = np.asarray(gaussians.means, np.float64)
         self._tree = KDTree(centers)
         self._table = nearest_table(self._tree, neighbors)
@@ -43,7 +42,8 @@ def _with_large(gaussians: Gaussians, tree: KDTree, table: np.ndarray, large: in
     neighbors = np.empty((len(table), large), np.int32)
     sizes = [np.flatnonzero(octaves == octave) for octave in np.unique(octaves)]
     trees = [(members, KDTree(tree.data[members]), REACH * deviations[members].max()) for members in sizes]
-    whitening = _whitening(gaussians)
+    # What takes an offset to units of each Gaussian's standard deviations, `[N, 3, 3]`.
+    whitening = np.asarray(density_field.kernels(gaussians).whitening)
 
     def distances(centers: np.ndarray, ids: np.ndarray) -> np.ndarray:
         offsets = centers[:, None] - tree.data[ids]
@@ -69,6 +69,26 @@ def _with_large(gaussians: Gaussians, tree: KDTree, table: np.ndarray, large: in
     return neighbors
 
 
-def _whitening(gaussians: Gaussians) -> np.ndarray:
-    """`[N, 3, 3]` what takes an offset to units of each Gaussian's standard deviations."""
-    return np.asarray(density_field.kernels(gaussians).whitening)
+def nearest_table(tree: KDTree, count: int) -> np.ndarray:
+    """`[N, k]` int32 ids of the nearest of every point of the tree, itself first; found in chunks.
+
+    k is `count`, or N where there are fewer points.
+    """
+    points = tree.data
+    count = min(count, len(points))
+    table = np.empty((len(points), count), np.int32)
+    for start in range(0, len(points), TREE_CHUNK):
+        part = slice(start, start + TREE_CHUNK)
+        table[part] = np.asarray(tree.query(points[part], count, workers=-1)[1]).reshape(-1, count)
+    return with_first(table, np.arange(len(points), dtype=np.int32))
+
+
+def with_first(table: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Every row with its `own` id in the first place, in exchange for another or, were it absent, for the last."""
+    table = table.copy()
+    is_own = table == own[:, None]
+    place = np.where(is_own.any(1), is_own.argmax(1), table.shape[1] - 1)
+    rows = np.arange(len(table))
+    table[rows, place] = table[:, 0]
+    table[:, 0] = own
+    return table

@@ -82,14 +82,9 @@ class _Survey(NamedTuple):
 
 
 def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.ndarray | None, bar: tqdm) -> _Survey:
-    """Read every vertex at `offsets` `[H, V]` along its normal, in every photo that sees it.
+    """Read every vertex at `offsets` `[H, V]` along its normal, scene units, in every photo that sees it.
 
-    Args:
-        mesh: The surface.
-        frames: The photos.
-        offsets: Scene units.
-        mean: `[V, 3]` colours that the photos' gains are fitted to; None: photos as they are.
-        bar: Advanced by every photo.
+    The photos' gains are fitted to the `mean` colours `[V, 3]`; None: photos are taken as they are.
     """
     normals, cast = vertex_normals(mesh), ray_caster(mesh)
     vertices = mesh.vertices.astype(np.float64)

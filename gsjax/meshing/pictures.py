@@ -14,7 +14,6 @@ from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera, viewmat_center
 from gsjax.scene.meshes import Mesh, face_normals
 
-BACKGROUND = np.ones(3)
 SIDE = 4  # Rays along a pixel, and down it, whose mean is its colour where edges are to be smooth.
 RAYS_AT_ONCE = 1 << 20
 BACK_FACE = np.array([0.45, 0.0, 0.0])  # Dark red: seen from its inner side.
@@ -38,11 +37,6 @@ Shading = Callable[[Hits], np.ndarray]
 def vertex_colors(hits: Hits) -> np.ndarray:
     """`[R, 3]` the mesh's own colours."""
     return hits.colors
-
-
-def normal_colors(hits: Hits) -> np.ndarray:
-    """`[R, 3]` camera-space normals as (n + 1) / 2, with y up and z towards the camera as is usual in pictures."""
-    return (hits.normals * np.array([1.0, -1.0, -1.0]) + 1) / 2
 
 
 def headlight(hits: Hits) -> np.ndarray:
@@ -85,18 +79,12 @@ def render_mesh(
 ) -> np.ndarray:
     """`[H, W, 3]` uint8 picture on white; surfaces seen from their inner side are dark red.
 
-    Args:
-        mesh: What to show.
-        viewmat: `[4, 4]` world to camera, OpenCV axes.
-        K: `[3, 3]` pixels; pixel centres at +0.5.
-        width: Pixels.
-        height: Pixels.
-        shading: Colours in 0..1 of what the rays hit.
-        cast: The mesh's `ray_caster`, where many pictures share it.
+    `viewmat` `[4, 4]` is world to camera, OpenCV axes; `K` `[3, 3]` is in pixels, with centres at +0.5. `cast` is the
+    mesh's `ray_caster`, where many pictures share it.
     """
     hits, pixels = _hits(mesh, cast or ray_caster(mesh), viewmat, K, width, height)
     is_back = np.sum(hits.normals * hits.rays, axis=-1, keepdims=True) > 0
-    picture = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
+    picture = np.ones((height * width, 3))
     picture[pixels] = np.where(is_back, BACK_FACE, shading(hits))
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8).reshape(height, width, 3)
 
@@ -106,11 +94,7 @@ def smooth_pictures(
 ) -> Iterator[Picture]:
     """What each camera sees of a mesh from outside, over black: the means of many rays a pixel, as viewers draw edges.
 
-    Args:
-        mesh: What to show.
-        cameras: From where.
-        shading: Colours in 0..1 of what the rays hit.
-        side: Rays along a pixel, and down it.
+    There are `side` rays along a pixel, and as many down it.
     """
     cast = front_faces_only(mesh, ray_caster(mesh))
     for camera in cameras:

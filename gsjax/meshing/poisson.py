@@ -9,19 +9,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from gsjax.errors import NoSurfaceError
 from gsjax.io.packages import require
-from gsjax.meshing.connectivity import edge_table
+from gsjax.meshing.connectivity import connected_labels, edge_table
 from gsjax.scene.meshes import Mesh
 
 DEPTHS = (6, 10)  # Coarsest and finest octree that is chosen unasked; SuGaR takes 10, and 6 to 8 against bumps.
 MIN_POINTS = 100
-
-
 SCALE = 1.1  # Of the octree's cube over the longest side of the points' box, at least.
 OUTLIER_NEIGHBORS, OUTLIER_RATIO = 20, 20.0  # Of the statistical filter: standard deviations beyond the mean distance.
 TRIM_CELLS = 5.0  # Holes up to twice as wide are bridged, and open ends grow by as much: cells, or
@@ -94,7 +90,12 @@ def reconstruct(
         NoSurfaceError: Fewer than 100 points, or nothing is left after trimming.
     """
     options = PoissonOptions() if options is None else options
-    cloud = _without_outliers(_as_cloud(points, normals, colors))
+    o3d = require("open3d")
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
+    cloud.colors = o3d.utility.Vector3dVector(colors / 255.0)
+    if len(points) > OUTLIER_NEIGHBORS:
+        cloud = cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
     inliers = np.asarray(cloud.points)
     if len(inliers) < MIN_POINTS:
         raise NoSurfaceError(f"no mesh: {len(inliers)} surface points, Poisson reconstruction needs {MIN_POINTS}")
@@ -106,10 +107,13 @@ def reconstruct(
     cell = scale * extent / 2**depth
     far = max(TRIM_SPACINGS * gap, TRIM_CELLS * cell)
 
-    surface, densities = _poisson(cloud, depth, scale)
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        surface, densities = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+            cloud, depth=depth, scale=scale, n_threads=THREADS
+        )
     distances = np.asarray(KDTree(inliers).query(np.asarray(surface.vertices), workers=-1)[0])
     edges = edge_table(np.asarray(surface.triangles)).pairs
-    cut = (options.trim or adaptive)(Support(distances, densities, edges, near=far / 2, far=far))
+    cut = (options.trim or adaptive)(Support(distances, np.asarray(densities), edges, near=far / 2, far=far))
     surface.remove_vertices_by_mask(cut.vertices)
     if not len(surface.triangles):
         raise NoSurfaceError(f"no mesh: no Poisson vertex is supported by the {len(inliers)} points (within {far:.4g})")
@@ -131,41 +135,12 @@ def octree_for_cell(extent: float, cell: float, scale: float) -> tuple[int, floa
     """Depth, from 6 to 10, and scale, at least the given one, of an octree whose finest cells are of side `cell`.
 
     An octree halves its cube, so the cube is made larger until a whole number of halvings fits. Cells are larger than
-    requested where depth 10 is not enough, and smaller where 6 is too much.
-
-    Args:
-        extent: Longest side of the points' box, scene units.
-        cell: Scene units.
-        scale: Of the cube over the box.
+    requested where depth 10 is not enough, and smaller where 6 is too much. The scale is that of the cube over the
+    points' box, whose longest side is `extent`, scene units.
     """
     halvings = np.ceil(np.log2(scale * extent / max(cell, 1e-6 * extent)))
     depth = int(np.clip(halvings, *DEPTHS))
     return depth, float(np.clip(cell * 2**depth / extent, scale, 2 * scale))
-
-
-def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):
-    if not points.shape == normals.shape == colors.shape == (len(points), 3):
-        raise ValueError(f"{points.shape=}, {normals.shape=}, {colors.shape=} must all be [P, 3]")
-    o3d = require("open3d")
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
-    cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
-    cloud.colors = o3d.utility.Vector3dVector(colors / 255.0)
-    return cloud
-
-
-def _without_outliers(cloud):
-    if len(cloud.points) <= OUTLIER_NEIGHBORS:
-        return cloud
-    return cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
-
-
-def _poisson(cloud, depth: int, scale: float):
-    o3d = require("open3d")
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        surface, densities = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-            cloud, depth=depth, scale=scale, n_threads=THREADS
-        )
-    return surface, np.asarray(densities)
 
 
 def adaptive(support: Support) -> Cut:
@@ -179,18 +154,11 @@ def adaptive(support: Support) -> Cut:
         return Cut(is_far, 0.0)
     too_thin = ~is_near & (support.densities < np.quantile(support.densities[is_near], THINNEST_SUPPORTED))
     unsound = is_far | too_thin
-    patch = _patches(unsound, support.edges)
+    patch = connected_labels(support.edges[unsound[support.edges].all(axis=1)], len(unsound))
     leads_far = np.zeros(len(unsound), bool)
     leads_far[patch[is_far]] = True
     cut = unsound & leads_far[patch]
     return Cut(cut, float((cut & ~is_far).mean()))
-
-
-def _patches(members: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """`[V]` a label per vertex, the same for members that are connected through members."""
-    inner = edges[members[edges].all(axis=1)]
-    graph = coo_matrix((np.ones(len(inner), bool), (inner[:, 0], inner[:, 1])), shape=(len(members),) * 2)
-    return connected_components(graph, directed=False)[1]
 
 
 def at_quantile(quantile: float) -> Trim:

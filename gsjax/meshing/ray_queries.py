@@ -19,8 +19,6 @@ class FirstHits(NamedTuple):
 
 Cast = Callable[[np.ndarray, np.ndarray], FirstHits]
 """From origins `[R, 3]` (or one, `[3]`) and directions `[R, 3]` of any length to what they hit first."""
-
-
 MOST_BACK_FACES = 16  # That a ray passes on its way.
 STEP = 1e-4  # Of the distance, by which a ray goes on behind a back face.
 
@@ -69,14 +67,10 @@ def front_faces_only(mesh: Mesh, cast: Cast) -> Cast:
 
 
 def closest_on_mesh(mesh: Mesh, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The point of a mesh that is nearest to each query, and the triangle that it lies on.
+    """The point of a mesh that is nearest to each query `[P, 3]`, and the triangle that it lies on.
 
     Open3D's search over Embree's tree, in float32 about the middle of the mesh: exact to 1e-7 of its size, wherever in
-    the world it stands.
-
-    Args:
-        mesh: With one triangle at least.
-        queries: `[P, 3]` world.
+    the world it stands. The mesh has one triangle at least.
 
     Returns:
         `[P, 3]` float64 points of the surface and `[P]` int64 indices of triangles. On an edge or a vertex any of the

@@ -101,12 +101,6 @@ class Region:
 Regions = dict[str, Region]  # name -> where; "foreground" and "background"
 
 
-def to_local(box: Box, similarity: Similarity) -> Box:
-    """A box of the world in local coordinates."""
-    low, high = similarity.scale * (np.stack([box.low, box.high]) - similarity.center)
-    return Box(low, high)
-
-
 def robust_box(points: np.ndarray, middle: float = MIDDLE, margin: float = MARGIN) -> Box:
     """The box of the middle share of `[P, 3]` points along every axis, grown by a share of its size on each side."""
     low, high = np.quantile(points, [(1 - middle) / 2, (1 + middle) / 2], axis=0)
@@ -126,11 +120,6 @@ def near_and_far(points: np.ndarray) -> Regions:
     return fixed_boxes(core, core.scaled(BACKGROUND_FACTOR))
 
 
-def near_only(points: np.ndarray) -> Regions:
-    """The foreground of `near_and_far` alone."""
-    return {"foreground": near_and_far(points)["foreground"]}
-
-
 def fixed_boxes(foreground: Box, background: Box | None = None) -> Regions:
     """Boxes that the caller knows: the far part is what is in the second and not in the first."""
     return {"foreground": Region(foreground)} | (
@@ -147,13 +136,15 @@ class Crop:
 
     def to_local(self, similarity: Similarity) -> "Crop":
         """Return the same in local coordinates."""
-        return replace(self, boxes=tuple(to_local(box, similarity) for box in self.boxes))
+        corners = (similarity.scale * (np.stack([box.low, box.high]) - similarity.center) for box in self.boxes)
+        return replace(self, boxes=tuple(Box(low, high) for low, high in corners))
 
     def regions(self, points: np.ndarray) -> Regions:
         """Return the regions to reconstruct, from the `[P, 3]` points of the surface."""
         if self.boxes:
             return fixed_boxes(*self.boxes)
-        return near_only(points) if self.foreground_only else near_and_far(points)
+        regions = near_and_far(points)
+        return {"foreground": regions["foreground"]} if self.foreground_only else regions
 
     def require_reached(self, gaussians: Gaussians, similarity: Similarity) -> None:
         """Check that a Gaussian reaches into a box; both are local, and `similarity` is of these coordinates.

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from gsjax.errors import NoSurfaceError
 from gsjax.meshing.regions import Box
-from gsjax.meshing.silhouettes import Silhouette, overlap, silhouettes_of
-from gsjax.meshing.track_visibility import TrackRays, track_rays, track_visibility
+from gsjax.meshing.silhouettes import overlap, silhouettes_of
+from gsjax.meshing.track_visibility import track_rays, track_visibility
 from gsjax.scene import Scene
 from gsjax.scene.meshes import Mesh
 
@@ -26,28 +26,17 @@ class Witness(NamedTuple):
 def evidence_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
     """Return the tracks, where they are enough; else the mattes, which show the whole object and nothing of a box.
 
-    Args:
-        scene: A loaded data set.
-        boxes: Where the surface is judged. None: everywhere.
+    Without boxes the surface is judged everywhere.
     """
     lines = track_rays(scene)
     if boxes:
         lines = lines.within(boxes)
     if len(lines) >= FEWEST_LINES:
-        return by_tracks(lines)
+        says = f"{len(lines):,} lines of sight to matched points"
+        return Witness(says, lambda mesh: track_visibility(mesh, lines)._asdict(), 0.04)
     outlines = () if boxes else silhouettes_of(scene)
-    return by_mattes(outlines) if outlines else None
-
-
-def by_tracks(lines: TrackRays) -> Witness:
-    """The tracks of structure from motion, of one line at least."""
-    return Witness(
-        f"{len(lines):,} lines of sight to matched points", lambda mesh: track_visibility(mesh, lines)._asdict(), 0.04
-    )
-
-
-def by_mattes(outlines: Sequence[Silhouette]) -> Witness:
-    """The mattes of photos, of one at least."""
+    if not outlines:
+        return None
     return Witness(f"its outline in {len(outlines)} photos", lambda mesh: overlap(mesh, outlines)._asdict(), 0.02)
 
 
@@ -62,11 +51,7 @@ def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness
     """Return the first method, or of those that agree clearly more with the witness the one that agrees most.
 
     Clearly more is more by the witness' margin, or so much that no more than `UNMET` of what did not agree is left. A
-    method that finds no surface is left out.
-
-    Args:
-        candidates: By the method's name, its mesh; one mesh at a time exists. The first with a surface is the usual.
-        witness: Judges the meshes.
+    method that finds no surface is left out, and the first that finds one is the usual. One mesh at a time exists.
 
     Raises:
         InputError: No method finds a surface; or as they do.

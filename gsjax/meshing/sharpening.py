@@ -30,13 +30,7 @@ def sharpened(
 
     Pixels at edges, at flat angles, and where Gaussians float before the surface say nothing, as in `texture_mesh`.
     The texels' mean converges to the texture whose pictures are nearest; the first two rounds bring most of what views
-    nearby gain, later ones noise.
-
-    Args:
-        textured: What is corrected.
-        cameras: As of `texture_mesh`.
-        pictures: As of `texture_mesh`.
-        background: As of `texture_mesh`.
+    nearby gain, later ones noise. Cameras, pictures and background are as of `texture_mesh`.
     """
     cast = front_faces_only(textured.mesh, ray_caster(textured.mesh))
     texture = textured.texture.reshape(-1, 3).astype(np.float32) / 255

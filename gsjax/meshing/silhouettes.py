@@ -11,7 +11,7 @@ import numpy as np
 
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.ray_queries import ray_caster
-from gsjax.scene import Frame, Scene
+from gsjax.scene import Scene
 from gsjax.scene.meshes import Mesh
 
 MOST_PHOTOS, MOST_PIXELS = 24, 1 << 18  # of each photo: rays at all of them take a second or two a mesh
@@ -40,46 +40,29 @@ def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
 
     Held-out photos count too: nothing was trained on their pixels.
 
-    Args:
-        scene: A loaded data set.
-
     Raises:
         InputError: A photo cannot be read.
     """
     count = min(len(scene.frames), MOST_PHOTOS)
     outlines = []
     for index in np.linspace(0, len(scene.frames) - 1, count).astype(int):
-        outline = _outline(scene.frames[index])
-        if outline is None:
+        frame = scene.frames[index]
+        _, matte, valid = frame.pixels()
+        if matte is None:
             return ()
-        outlines.append(outline)
+        every = math.ceil(math.sqrt(matte.size / MOST_PIXELS))
+        grid = (slice(every // 2, None, every),) * 2
+        # The centre of the first pixel that is taken is to be the centre of the first one of the smaller picture.
+        K = frame.K.astype(np.float64)
+        K[:2, 2] -= every // 2 + 0.5 - every / 2
+        K = np.diag([1 / every, 1 / every, 1]) @ K
+        usable = np.ones_like(matte[grid], bool) if valid is None else valid[grid] > 127
+        outlines.append(Silhouette(frame.viewmat, K, matte[grid] > IS_OBJECT, usable))
     return tuple(outlines)
 
 
-def _outline(frame: Frame) -> Silhouette | None:
-    _, matte, valid = frame.pixels()
-    if matte is None:
-        return None
-    every = math.ceil(math.sqrt(matte.size / MOST_PIXELS))
-    grid = (slice(every // 2, None, every),) * 2
-    # The centre of the first pixel that is taken is to be the centre of the first one of the smaller picture.
-    K = frame.K.astype(np.float64)
-    K[:2, 2] -= every // 2 + 0.5 - every / 2
-    return Silhouette(
-        frame.viewmat,
-        np.diag([1 / every, 1 / every, 1]) @ K,
-        matte[grid] > IS_OBJECT,
-        np.ones_like(matte[grid], bool) if valid is None else valid[grid] > 127,
-    )
-
-
 def overlap(mesh: Mesh, outlines: Sequence[Silhouette]) -> Overlap:
-    """How the outlines of a mesh cover those of the object.
-
-    Args:
-        mesh: The surface, in the scene's coordinates.
-        outlines: At least one.
-    """
+    """How the outlines of a mesh, in the scene's coordinates, cover those of the object, one at least."""
     cast, counts = ray_caster(mesh), np.zeros(3, np.int64)
     for viewmat, K, is_object, usable in outlines:
         height, width = is_object.shape

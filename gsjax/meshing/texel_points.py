@@ -27,10 +27,6 @@ def texels_of(mesh: Mesh, atlas: Atlas) -> Texels:
     """Texels whose centres lie in a triangle; a triangle too small for any gets the one under its centroid if free.
 
     Found in bands of rows, with about a million texels in work at a time.
-
-    Args:
-        mesh: The surface.
-        atlas: Where its triangles lie.
     """
     corners = texel_corners(atlas)
     cast, rows = ray_caster(_lying(corners)), max(RAYS_AT_ONCE // atlas.size, 1)

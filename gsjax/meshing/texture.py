@@ -1,8 +1,7 @@
 """A texture from rendered views: every texel gets the mean of what the views that see it show there."""
 
 import math
-from collections.abc import Iterable, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,7 @@ import numpy as np
 from jax import Array
 from scipy import ndimage
 
-from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
+from gsjax.meshing.atlas import Atlas, TexturedMesh, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.ray_queries import ray_caster
 from gsjax.meshing.texel_points import Texels, paint_texture, texels_of
@@ -36,7 +35,7 @@ def texture_mesh(
     *,
     size: int = 4096,
     background: np.ndarray | None = None,
-    unwrap: Unwrap = unwrap,
+    unwrap: Callable[[Mesh, int], Atlas] = unwrap,
 ) -> tuple[TexturedMesh, dict]:
     """Paints a mesh with what its views show.
 
@@ -124,23 +123,12 @@ def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
     return is_facing & within[:, mesh.faces].any(axis=2).all(axis=0)
 
 
-@jax.jit
-def _sightings(points: Array, normals: Array, camera: Camera, layers: Array) -> Array:
-    """`[C, 4]` of every texel what `_sighting` says."""
-    return jax.vmap(partial(_sighting, camera=camera, layers=layers))(points, normals)
-
-
-def _sighting(point: Array, normal: Array, *, camera: Camera, layers: Array) -> Array:
+def _sighting(point: Array, normal: Array, camera: Camera, layers: Array) -> Array:
     """`[4]` weighted colour and weight of one point of the surface in one view; zeros where it is not seen.
 
     The four pixels around it are mixed bilinearly, those left out that show something else: where the mesh lies
-    before or behind the point, where Gaussians float before it, or where nothing much is.
-
-    Args:
-        point: `[3]` world.
-        normal: `[3]` unit, outward, world.
-        camera: The view.
-        layers: `[H, W, 6]` colours times coverage, coverage, depth of the mesh, and depth of the Gaussians.
+    before or behind the point, where Gaussians float before it, or where nothing much is. The layers `[H, W, 6]` are
+    colours times coverage, coverage, depth of the mesh, and depth of the Gaussians.
     """
     in_camera = pinhole.world_to_camera(point, camera)
     depth = jnp.maximum(in_camera[2], 1e-6)
@@ -168,6 +156,9 @@ def _sighting(point: Array, normal: Array, *, camera: Camera, layers: Array) -> 
     return jnp.where(is_inside & is_facing, cosine * (focal / depth) ** 2, 0) * mixed
 
 
+_sightings = jax.jit(jax.vmap(_sighting, in_axes=(0, 0, None, None)))
+
+
 def _filled_up(rows: np.ndarray) -> np.ndarray:
     """`rows` with zeros up to `TEXELS_AT_ONCE`: one compiled size for all."""
     return np.pad(rows, ((0, TEXELS_AT_ONCE - len(rows)), (0, 0)))
@@ -180,14 +171,7 @@ STEP = 256  # Sides are multiples of this.
 
 
 def texture_side(mesh: Mesh, cameras: Sequence[Camera], *, least: int, most: int) -> int:
-    """Side of the smallest texture that holds what the cameras resolve on the surface, texels.
-
-    Args:
-        mesh: Outward triangles.
-        cameras: One a view.
-        least: Texels.
-        most: Texels.
-    """
+    """Side, `least` to `most` texels, of the smallest texture that holds what the cameras resolve on the surface."""
     finest = np.zeros(mesh.num_faces)
     for camera in cameras:
         finest = np.maximum(finest, pixels_of_faces(mesh, camera))

@@ -53,9 +53,6 @@ def track_rays(scene: Scene) -> TrackRays:
 
     Held-out photos count too: their tracks were matched, but their pixels never trained on.
 
-    Args:
-        scene: A loaded data set; without tracks there are no lines.
-
     Raises:
         InputError: The tracks cannot be read, or name points that the scene does not have.
     """
@@ -79,12 +76,7 @@ def track_rays(scene: Scene) -> TrackRays:
 
 
 def track_visibility(mesh: Mesh, lines: TrackRays) -> TrackVisibility:
-    """What a mesh makes of the sightlines: what each of them meets first, whichever side of it.
-
-    Args:
-        mesh: The surface.
-        lines: At least one.
-    """
+    """What a mesh makes of the sightlines, one at least: what each of them meets first, whichever side of it."""
     shares = ray_caster(mesh)(lines.origins, lines.points - lines.origins).distances  # 1: at the point
     nothing, before, behind = ~np.isfinite(shares), shares < 1 - SAME_SURFACE, shares > 1 + SAME_SURFACE
     parts = {"nothing": nothing, "before": before, "behind": behind & ~nothing}

@@ -39,6 +39,7 @@ def written_axes(signs: np.ndarray) -> str:
 OTHER_SIGNS = np.array(list(itertools.product([1, -1], repeat=3))[1:], np.float32)
 DECISIVE = 0.1  # |n . ray| of unit vectors, from which on a pixel says on which side its surface is seen.
 STRIDE = 4  # Every so many pixels of a map are asked, in both directions.
+FEWEST, MAJORITY = 100, 0.8  # Pixels that a verdict needs, and the share of them that it takes.
 
 
 def facing_votes(normals: np.ndarray, K: np.ndarray) -> np.ndarray:
@@ -65,18 +66,12 @@ def facing_votes(normals: np.ndarray, K: np.ndarray) -> np.ndarray:
     return np.stack([against.sum(axis=0), in_favour.sum(axis=0)], axis=-1)
 
 
-def axes_verdict(votes: np.ndarray, *, fewest: int = 100, majority: float = 0.8) -> str:
-    """`facing_votes` of all maps as half a sentence about axes that are in question.
-
-    Args:
-        votes: `[7, 2]` counts.
-        fewest: Pixels that a verdict needs.
-        majority: Share of them that it takes.
-    """
+def axes_verdict(votes: np.ndarray) -> str:
+    """`facing_votes` of all maps, `[7, 2]`, as half a sentence about axes that are in question."""
     total = votes.sum(axis=-1)
-    is_decisive = total >= fewest
-    for_others = is_decisive & (votes[:, 1] > majority * total)
-    for_these = is_decisive & (votes[:, 0] > majority * total)
+    is_decisive = total >= FEWEST
+    for_others = is_decisive & (votes[:, 1] > MAJORITY * total)
+    for_these = is_decisive & (votes[:, 0] > MAJORITY * total)
     if for_others.any():
         # Of those that serve about as well, the one that mirrors least: what cannot be told is not accused.
         best = for_others & (votes[:, 1] >= 0.9 * votes[for_others, 1].max())
@@ -90,7 +85,7 @@ def axes_verdict(votes: np.ndarray, *, fewest: int = 100, majority: float = 0.8)
 
 
 def detect_axes(
-    maps: Iterable[np.ndarray], references: Iterable[np.ndarray], *, pixels_per_map: int = 4000, seed: int = 0
+    maps: Iterable[np.ndarray], references: Iterable[np.ndarray], *, pixels_per_map: int = 4000
 ) -> tuple[np.ndarray, float, float]:
     """Which axes of foreign normal maps point the other way: the mirroring that agrees best with reference normals.
 
@@ -102,14 +97,13 @@ def detect_axes(
         maps: `[H, W, 3]` each, any sign convention, zero where there is no normal.
         references: As many, of the same views in our convention, such as `depth_normals` of a trained scene.
         pixels_per_map: At most so many pixels of a map are compared.
-        seed: Of the sample.
 
     Returns:
         `[3]` signs (+1 or -1) for `apply_axes`, with the sign of the whole such that maps face the camera; the mean
         cosine that they reach, 0..1; and by how much the next best mirroring falls short of it. A score under 0.5 or
         a margin under 0.02 is doubtful; without a pixel to compare both are 0.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     pairs = [_unit_pairs(m, r, pixels_per_map, rng) for m, r in zip(maps, references, strict=True)]
     products = np.concatenate([a * b for a, b in pairs])
     if not len(products):

@@ -79,11 +79,7 @@ def stride_of(shape: Sequence[int]) -> int:
 def judge_maps(
     views: Sequence[View], *, progress: Callable[[Iterable[int]], Iterable[int]] = iter
 ) -> tuple[list[PhotoEvidence], Verdict]:
-    """Compare every view with its neighbours.
-
-    Args:
-        views: All photos of a set of maps.
-        progress: Wraps the photos' numbers, for a bar.
+    """Compare every view of a set of maps with its neighbours; `progress` wraps the photos' numbers, for a bar.
 
     Returns:
         One `PhotoEvidence` a photo, with confidence zero for rejected photos and sets; and the `Verdict`.
@@ -99,17 +95,12 @@ def judge_maps(
 
 
 def share_compared(apart: float | None) -> float:
-    """Return the share of steps in which the loss compares a photo with a neighbour.
+    """Return the share of steps in which the loss compares a photo with a neighbour, by `apart` of its evidence.
 
     Terms that compare photos make a consistent surface flat and cost no PSNR. On an inconsistent one, such as a bare
     wall, they do (experiments/results/price_on_photos.md). The angle decides, not the evidence: between photos that
-    stand side by side even a flat floor has none.
-
-    Args:
-        apart: Of the photo's `PhotoEvidence`; None: unknown, the photo is compared in all steps.
-
-    Returns:
-        From 0, at `ZERO_WEIGHT` degrees and more, to 1, up to `FULL_WEIGHT` degrees.
+    stand side by side even a flat floor has none. The share is 1 up to `FULL_WEIGHT` degrees and where they are
+    unknown, and 0 from `ZERO_WEIGHT` degrees on.
     """
     return 1.0 if apart is None else float(np.clip((ZERO_WEIGHT - apart) / (ZERO_WEIGHT - FULL_WEIGHT), 0, 1))
 
@@ -201,11 +192,8 @@ def _error(own: np.ndarray, others: np.ndarray, visible: np.ndarray, apart: np.n
     and, with `OWN_VOTE`, its own; and the (lower) median angle to one neighbour, over the root of two, as both may be
     wrong. The first alone would accept a map that only faces its camera, where cameras stand around the place.
 
-    Args:
-        own: `[P, 3]` world normals of the pixels.
-        others: `[M, P, 3]` of the neighbours at the same places.
-        visible: `[M, P]` bool, where a neighbour shows the place and has a normal.
-        apart: `[M, P]` degrees between the two.
+    `own` are `[P, 3]` world normals of the pixels, `others` `[M, P, 3]` those of the neighbours at the same places, and
+    `apart` `[M, P]` degrees between the two.
     """
     observed = visible.any(axis=0)
     votes = np.concatenate([visible, np.full((1, len(own)), OWN_VOTE)])
@@ -231,10 +219,7 @@ def _agreement(
 ) -> tuple[float | None, float | None, float | None]:
     """Return `evidence`, `noise` and `apart` of a photo: its consistency, compared with maps that only face cameras.
 
-    Args:
-        apart: `[M, P]` degrees between the normals of two views.
-        chance: `[M, P]` degrees between the directions to their cameras.
-        visible: `[M, P]` bool, where a neighbour shows the place and has a normal.
+    The degrees `[M, P]` are those between the normals of two views, and between the directions to their cameras.
     """
     counted = visible & (chance > LEAST_ANGLE)
     if counted.sum() < FEWEST:

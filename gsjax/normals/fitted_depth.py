@@ -1,10 +1,11 @@
-"""Depth that a network sees up to a scale and a shift, fitted to points whose depth is known, and its normals."""
+"""Depth by points of known depth: a network's, fitted to them in scale and shift, and planes through them alone."""
 
 from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy.spatial import KDTree
 
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.scene.cameras import Camera
@@ -15,6 +16,9 @@ FEWEST_POINTS = 20  # that a photo's scale and shift are fitted to
 LEAST_EXPLAINED = 0.3  # of the points' spread in depth, for the fit to say more of the photo than one depth for all
 LEAST_POSITIVE = 0.9  # of the points, those in front of the camera after the fit
 STEEPEST = 80.0  # degrees between normal and ray, from which on a slope is the smeared edge of something nearer
+NEAREST = 8  # points that a pixel's plane goes through
+LARGEST_MISFIT = 0.04  # of that plane to them, relative to the inverse depth, for it to be a surface
+REACH = 3.0  # times the usual spacing of points: farther from the nearest one nothing is known
 
 _PAIRS = 400  # of points, each a candidate for scale and shift
 _ROUNDS = 10  # of reweighting
@@ -78,8 +82,8 @@ def fitted_depth(values: np.ndarray, fit: DepthFit, kind: Kind) -> np.ndarray:
     return np.where(positive, 1 / safe if kind == "disparity" else safe, 0.0).astype(np.float32)
 
 
-def edges(depth: Array, camera: Camera) -> Array:
-    """`[H, W]` bool: pixels without depth, those on a slope steeper than `STEEPEST`, and their neighbours.
+def surface(depth: Array, camera: Camera) -> Array:
+    """`[H, W]` 1 where fitted depth shows a surface; 0 without depth, at slopes over `STEEPEST`, and next to them.
 
     A network draws the edge of an object as a slope from it to what lies behind, some pixels wide.
     """
@@ -92,18 +96,13 @@ def edges(depth: Array, camera: Camera) -> Array:
     around = jnp.pad(steep | ~is_known, 1)
     height, width = depth.shape
     shifted = [around[y : y + height, x : x + width] for y in range(3) for x in range(3)]
-    return jnp.any(jnp.stack(shifted), axis=0)
+    return 1 - jnp.any(jnp.stack(shifted), axis=0).astype(depth.dtype)
 
 
 def normals_of_depth(depth: np.ndarray, camera: Camera, reduction: int) -> np.ndarray:
-    """`[H, W, 3]` float32 normals of a fitted depth map `[H, W]`, zero at `edges`; see `smoothed_depth_normals`."""
+    """`[H, W, 3]` float32 `smoothed_depth_normals` of a fitted depth map `[H, W]`, zero off its `surface`."""
     depths = jnp.asarray(depth)
     return np.asarray(smoothed_depth_normals(depths, surface(depths, camera), camera, reduction=reduction))
-
-
-def surface(depth: Array, camera: Camera) -> Array:
-    """`[H, W]` 1 where a fitted depth map shows a surface, 0 at its `edges`."""
-    return 1 - edges(depth, camera).astype(depth.dtype)
 
 
 def _best_pair(rows: np.ndarray) -> np.ndarray:
@@ -128,3 +127,36 @@ def _reweighted(rows: np.ndarray, start: np.ndarray) -> np.ndarray:
             return solution
         solution = np.linalg.solve(normal, np.einsum("pi,p->i", rows, weights))
     return solution
+
+
+def sparse_depth(rays: np.ndarray, depths: np.ndarray, K: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Camera z of a view's pixels, where points around them lie on a plane.
+
+    Args:
+        rays: `[P, 2]` x/z and y/z of the points in the camera.
+        depths: `[P]` their camera z, positive.
+        K: `[3, 3]` pixels of the view, centres at +0.5.
+        shape: Its height and width.
+
+    Returns:
+        `[H, W]` float32, 0 where it is not known.
+    """
+    if len(depths) < 2 * NEAREST:
+        return np.zeros(shape, np.float32)
+    at = rays * K[[0, 1], [0, 1]] + K[:2, 2]
+    tree = KDTree(at)
+    spacing = float(np.median(tree.query(at, k=NEAREST)[0][:, -1]) / np.sqrt(NEAREST / np.pi))
+    x, y = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    pixels = np.stack([x.ravel(), y.ravel()], -1)
+    distances, nearest = tree.query(pixels, k=NEAREST)
+    inverse = 1 / depths[nearest]
+    scale = np.maximum(distances[:, -1:], 1e-6)
+    weights = np.exp(-2 * np.square(distances / scale))
+    rows = np.concatenate([np.ones_like(inverse)[..., None], (at[nearest] - pixels[:, None]) / scale[..., None]], -1)
+    normal = np.einsum("pki,pk,pkj->pij", rows, weights, rows) + np.diag([0, 1e-4, 1e-4])
+    planes = np.linalg.solve(normal, np.einsum("pki,pk->pi", rows, weights * inverse)[..., None])[..., 0]
+    residual = np.einsum("pki,pi->pk", rows, planes) - inverse
+    misfit = np.sqrt(np.sum(weights * residual**2, -1) / np.sum(weights, -1))
+    value = planes[:, 0]
+    is_known = (value > 0) & (misfit < LARGEST_MISFIT * value) & (distances[:, 0] < REACH * spacing)
+    return np.where(is_known, 1 / np.where(is_known, value, 1), 0).reshape(shape).astype(np.float32)

@@ -38,8 +38,6 @@ def depth_normals(depth: Array, camera: Camera) -> Array:
     Returns:
         `[H, W, 3]`, differentiable in `depth`; zero where the pixel, or both neighbours along an axis, have no depth.
     """
-    if depth.shape != (camera.height, camera.width):
-        raise ValueError(f"{depth.shape=} does not match {camera.height=}, {camera.width=}")
     points, valid = unproject(depth, camera), depth > 0
     along_x, has_x = _difference(points, valid, axis=1)
     along_y, has_y = _difference(points, valid, axis=0)
@@ -87,8 +85,6 @@ def smoothed_depth_normals(depth: Array, alphas: Array, camera: Camera, *, reduc
         `[H, W, 3]`; zero where there is no depth and where no window fits to 3 % of the depth (mixed pixels at the
         borders of objects).
     """
-    if not depth.shape == alphas.shape == (camera.height, camera.width):
-        raise ValueError(f"{depth.shape=}, {alphas.shape=} do not match {camera.height=}, {camera.width=}")
     valid = (depth > 0) & (alphas > 0.5)
     inverse_depth = jnp.where(valid, 1.0 / jnp.where(valid, depth, 1.0), 0.0)
     values, weights = _reduced(inverse_depth, valid, reduction)
@@ -201,8 +197,7 @@ def _moments(images: Array, powers: tuple[int, ...], axis: int) -> Array:
 def _choose_planes(planes: Array, variance: Array, values: Array) -> tuple[Array, Array]:
     """Mean of the planes of the windows around every pixel, weighted by the inverse of their squared misfit.
 
-    Returns:
-        `[H, W, 3]` value and slopes at the pixel; and `[H, W]` the best window's misfit relative to the value.
+    `[H, W, 3]` are value and slopes at the pixel, `[H, W]` the best window's misfit relative to the value.
     """
     reach = math.ceil(2.4 * _SIGMA)
     planes = jnp.pad(planes, [(reach, reach), (reach, reach), (0, 0)])
@@ -236,23 +231,16 @@ def _shifts() -> np.ndarray:
 def _nearest_planes(planes: Array, misfits: Array, values: Array, size: int) -> tuple[Array, Array]:
     """Planes of blocks brought to pixels: the mean of the 9 blocks about each, by distance and by misfit there.
 
-    Args:
-        planes: `[rows, columns, 3]` value at the block's centre and slopes per block.
-        misfits: `[rows, columns]` relative to the value.
-        values: `[H, W]` of the pixels.
-        size: Side of a block, pixels.
-
-    Returns:
-        `[H, W, 3]` value and slopes per pixel; and `[H, W]` the best block's misfit.
+    Planes `[rows, columns, 3]` have the value at the block's centre and slopes per block; those that are returned,
+    `[H, W, 3]`, slopes per pixel. The other array `[H, W]` is the best block's misfit.
     """
     rows, columns = misfits.shape
     planes = jnp.pad(planes, ((1, 1), (1, 1), (0, 0)))
     misfits = jnp.pad(misfits, 1, constant_values=jnp.inf)
     pixels = _blocks(values, size)
     scale = jnp.where(pixels > 0, pixels, 1.0)
-    offsets = (
-        jnp.arange(size, dtype=values.dtype) + 0.5
-    ) / size - 0.5  # of a block's pixels from its centre, in blocks
+    # Of a block's pixels from its centre, in blocks.
+    offsets = (jnp.arange(size, dtype=values.dtype) + 0.5) / size - 0.5
     total = [jnp.zeros_like(pixels)] * 3
     weights, best = jnp.zeros_like(pixels), jnp.full_like(pixels, jnp.inf)
     for row, column in np.ndindex(3, 3):

@@ -45,13 +45,6 @@ def depth_sdf(
     return sample_bilinear(depth, cameras.project(point_cam, camera)) - point_cam[2]
 
 
-def composite_directions(world: Array, gaussians: Gaussians, view: View, camera: Camera) -> Array:
-    """`[H, W, 3]` world directions `[N, 3]`, made unit, turned into the camera and to face it, composited on zero."""
-    in_camera = jax.vmap(partial(times, cameras.rotation(camera)))(world)
-    position = jax.vmap(cameras.world_to_camera, in_axes=(0, None))(jax.lax.stop_gradient(gaussians.means), camera)
-    return rendering.features(view.splats, face_camera(safe_normalize(in_camera), -position))[0]
-
-
 def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     """`[H, W, 3]` the paper's estimator: jax.grad of `depth_sdf` at the visible means, composited by the rasterizer.
 
@@ -63,7 +56,9 @@ def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     # What is not usable is read at a harmless place, so that nothing odd enters the gradient.
     points = jnp.where(usable, gaussians.means, jax.lax.stop_gradient(in_front(camera))[None])
     world = jax.vmap(jax.grad(depth_sdf), in_axes=(0, None, None))(points, view.depth, camera)
-    return composite_directions(jnp.where(usable, world, 0), gaussians, view, camera)
+    in_camera = jax.vmap(partial(times, cameras.rotation(camera)))(jnp.where(usable, world, 0))
+    position = jax.vmap(cameras.world_to_camera, in_axes=(0, None))(jax.lax.stop_gradient(gaussians.means), camera)
+    return rendering.features(view.splats, face_camera(safe_normalize(in_camera), -position))[0]
 
 
 def sdf_gradient(

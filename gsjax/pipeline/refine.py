@@ -14,7 +14,7 @@ from tqdm import tqdm
 from gsjax import config, runs
 from gsjax.binding import refinement
 from gsjax.binding.bound import BoundGaussians, bind, to_mesh
-from gsjax.binding.mesh_terms import mesh_graph
+from gsjax.binding.mesh_terms import neighboring_faces
 from gsjax.binding.mixed_gaussians import MixedGaussians, all_gaussians, with_free
 from gsjax.binding.refinement import Refinement, RefineProgress, RefineState
 from gsjax.binding.uncovered import uncovered_gaussians
@@ -182,7 +182,7 @@ def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
     with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
         state = refinement.refine(
             settings,
-            mesh_graph(np.asarray(state.gaussians.bound.faces)),
+            neighboring_faces(np.asarray(state.gaussians.bound.faces)),
             task.data,
             state,
             optimizer,

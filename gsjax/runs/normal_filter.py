@@ -17,7 +17,7 @@ from gsjax.io.files import atomic_path
 from gsjax.io.messages import first_names
 from gsjax.io.normal_maps import normal_maps
 from gsjax.normals.consistency import PhotoEvidence, Verdict, View, full_size, judge_maps, stride_of, thinned_view
-from gsjax.normals.sparse_depth import sparse_depth
+from gsjax.normals.fitted_depth import sparse_depth
 from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.records import NUMBER
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera

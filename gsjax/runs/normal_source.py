@@ -64,7 +64,7 @@ class NormalSource:
             gated: Whether the consistency filter weights the normals, see `gsjax.runs.normal_filter`.
             stereo: Normals of multi-view stereo by the photo's name, `[h, w, 3]` int8 as `__call__` returns them. They
                 serve where no folder is given, unfiltered: other photos confirm them already. Of a folder, they serve
-                for the photos whose maps the filter rejects (`gsjax.stereo.witness`).
+                for the photos whose maps the filter rejects (`gsjax.stereo.witnessed_normals`).
             keep: Where the maps are to lie.
             notify: Receives lines: the axes of foreign maps and the evidence for them; the verdict of the filter.
 

@@ -5,13 +5,10 @@ it. It needs tracks: they say which photos see the same things, at which depths 
 right.
 """
 
-from gsjax.stereo.depths import PhotoDepth, PhotoDepths, depths_of_photos
-from gsjax.stereo.maps import StereoMap, StereoMaps, read_stereo_maps, stereo_maps, write_stereo_maps
-from gsjax.stereo.points import StereoPoints, stereo_points
-from gsjax.stereo.witness import witnessed_normals
+from gsjax.stereo.depths import PhotoDepths, StereoPoints, depths_of_photos, stereo_points
+from gsjax.stereo.maps import StereoMap, StereoMaps, read_stereo_maps, stereo_maps, witnessed_normals, write_stereo_maps
 
 __all__ = [
-    "PhotoDepth",
     "PhotoDepths",
     "StereoMap",
     "StereoMaps",

@@ -33,47 +33,34 @@ class Completed(NamedTuple):
 class _Surface(NamedTuple):
     view: View
     planes: np.ndarray  # [H, W, 3] of depth and of segments; 0 where there is none
+    normals: np.ndarray  # [H, W, 3] of these planes
     stereo: np.ndarray  # [H, W] inverse depth by stereo alone; 0 where it is unknown
-
-    @property
-    def normals(self) -> np.ndarray:
-        return plane_normals(self.planes, self.view)
 
 
 def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequence[int]]) -> list[Completed]:
     """Complete the depth of photos by planes.
 
-    Args:
-        views: The photos.
-        depths: Their depth, confident where another photo confirms it.
-        near: For every photo, the indices of those that it is compared with.
+    Their depth is confident where another confirms it; `near` has the indices of those that each is compared with.
     """
     stereo = [np.where(depth.is_confident, 1 / depth.z, 0) for depth in depths]
     segments = list(parallel_map(lambda view: photo_segments(view.color), views))
     completed = _complete_once(views, segments, depths, stereo, near)
     for _ in range(ROUNDS - 1):
         current = [each.depth for each in completed]
-        filled = [
-            _filled(view, current[index], _depth_from_others(view, views, current, near[index]))
-            for index, view in enumerate(views)
-        ]
+        filled = [_filled(index, views, current, near[index]) for index in range(len(views))]
         completed = _complete_once(views, segments, filled, stereo, near)
     return completed
 
 
-def _filled(view: View, depth: Depth, z: np.ndarray) -> Depth:
-    """The depth, and where there is none that of `[H, W]` z, infinite where nothing is known."""
-    fills = ~depth.is_confident & np.isfinite(z) & view.usable
-    return Depth(np.where(fills, z, depth.z), depth.is_confident | fills)
-
-
-def _depth_from_others(view: View, views: Sequence[View], depths: Sequence[Depth], others: Sequence[int]) -> np.ndarray:
-    """`[H, W]` camera z of the nearest surface that other photos show in each pixel; infinite where none does."""
+def _filled(index: int, views: Sequence[View], depths: Sequence[Depth], others: Sequence[int]) -> Depth:
+    """The depth of a photo, and where there is none that of the nearest surface that other photos show there."""
+    view, depth = views[index], depths[index]
     nearest = np.full(view.gray.shape, np.inf)
     for other in others:
         row, column, z, inside = view.landing(views[other].lift(depths[other]))
         np.minimum.at(nearest, (row[inside], column[inside]), z[inside])
-    return nearest
+    fills = ~depth.is_confident & np.isfinite(nearest) & view.usable
+    return Depth(np.where(fills, nearest, depth.z), depth.is_confident | fills)
 
 
 def _complete_once(
@@ -86,29 +73,24 @@ def _complete_once(
     def surface_of(index: int) -> _Surface:
         rng = np.random.default_rng(index)  # One for each photo, as threads take turns.
         planes = _completed_planes(views[index], segments[index], depths[index], rng)
-        return _Surface(views[index], planes, stereo[index])
+        return _Surface(views[index], planes, plane_normals(planes, views[index]), stereo[index])
 
     surfaces = list(parallel_map(surface_of, range(len(views))))
-    normals = [surface.normals for surface in surfaces]
-
-    def checked(index: int) -> Completed:
-        others = [(surfaces[other], normals[other]) for other in near[index]]
-        return _checked(surfaces[index], normals[index], others)
-
-    return list(parallel_map(checked, range(len(views))))
+    others_of = [[surfaces[other] for other in each] for each in near]
+    return list(parallel_map(lambda index: _checked(surfaces[index], others_of[index]), range(len(views))))
 
 
-def _checked(surface: _Surface, normals: np.ndarray, others: Sequence[tuple[_Surface, np.ndarray]]) -> Completed:
-    """What other photos, with their normals, confirm of a surface and none contradicts."""
+def _checked(surface: _Surface, others: Sequence[_Surface]) -> Completed:
+    """What other photos confirm of a surface and none contradicts."""
     confirmed = np.zeros(surface.planes.shape[:2], bool)
     contradicted = np.zeros_like(confirmed)
-    for other, its_normals in others:
-        same, behind = _compare(surface, normals, other, its_normals)
+    for other in others:
+        same, behind = _compare(surface, other)
         confirmed |= same
         contradicted |= behind
     is_known = confirmed & ~contradicted
     z = 1 / np.where(is_known, surface.planes[..., 0], 1)
-    return Completed(Depth(z, is_known), np.where(is_known[..., None], normals, 0).astype(np.float32))
+    return Completed(Depth(z, is_known), np.where(is_known[..., None], surface.normals, 0).astype(np.float32))
 
 
 def _completed_planes(view: View, labels: np.ndarray, depth: Depth, rng: np.random.Generator) -> np.ndarray:
@@ -122,9 +104,7 @@ def _completed_planes(view: View, labels: np.ndarray, depth: Depth, rng: np.rand
     return np.where(takes_plane[..., None], segments, own * is_kept[..., None])
 
 
-def _compare(
-    surface: _Surface, normals: np.ndarray, other: _Surface, its_normals: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _compare(surface: _Surface, other: _Surface) -> tuple[np.ndarray, np.ndarray]:
     """`[H, W]` bool: where another photo shows the same surface, and where its stereo shows one behind."""
     view, theirs = surface.view, other.view
     turn = theirs.viewmat[:3, :3] @ view.viewmat[:3, :3].T
@@ -145,7 +125,8 @@ def _compare(
     apart = np.abs(inverse_there - expected)
     along = np.hypot(shift[0] - x * shift[2], shift[1] - y * shift[2])
     same = (value > 0) & (apart < SAME_DEPTH * expected) & (apart / expected * inverse * along < SAME_PIXEL)
-    cosine = np.sum(normals[rows[same], columns[same]] @ turn.T * its_normals[row[same], column[same]], axis=-1)
+    turned = surface.normals[rows[same], columns[same]] @ turn.T
+    cosine = np.sum(turned * other.normals[row[same], column[same]], axis=-1)
     same[same] = cosine > np.cos(np.radians(SAME_ANGLE))
     stereo = other.stereo[row, column]
     maps = np.zeros((2, *surface.planes.shape[:2]), bool)

@@ -1,4 +1,4 @@
-"""Multi-view stereo depth of photos, where it is consistent between them, completed by planes."""
+"""Multi-view stereo depth of photos, where it is consistent between them, completed by planes; and points of it."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,9 +11,8 @@ from tqdm import tqdm
 from gsjax.io.packages import MissingPackageError, require
 from gsjax.io.parallel_map import parallel_map
 from gsjax.scene import Scene
-from gsjax.stereo.aggregation import best_planes
 from gsjax.stereo.completion import complete
-from gsjax.stereo.sweep import dissimilarities, inverse_depths
+from gsjax.stereo.sweep import best_planes, dissimilarities, inverse_depths
 from gsjax.stereo.views import MOST_VIEWS, Depth, View, neighbors, stereo_views
 
 CONFIDENT = 0.6  # dissimilarity up to which a pixel may be confident
@@ -23,6 +22,8 @@ CONFIRMED = 0.01  # of the depth, between two photos that show one place
 RIGHT = 0.03  # of the depth, from a matched point
 FEWEST_RIGHT = 0.8  # share of the matched points, in a photo that is accepted
 FEWEST_CHECKED = 20  # matched points, below which that share decides nothing
+CANDIDATES = 20  # for every returned point, when they are thinned
+GROWTH = 1.1  # of the cells that thin points, per round
 
 
 class Evidence(NamedTuple):
@@ -88,10 +89,8 @@ def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
         return PhotoDepths((), len(views))
     compared = neighbors(views, scene.points)
 
-    def swept_photo(index: int) -> Depth:
-        return _swept(views[index], [views[other] for other in compared[index]])
-
-    photos = parallel_map(swept_photo, range(len(views)))
+    others_of = [[views[other] for other in each] for each in compared]
+    photos = parallel_map(lambda index: _swept(views[index], others_of[index]), range(len(views)))
     swept = list(tqdm(photos, total=len(views), desc="stereo", unit="photo", leave=False))
     near = [
         sorted({*own, *(other for other, its in enumerate(compared) if index in its)})
@@ -153,3 +152,33 @@ def evidence(view: View, depth: Depth, points: np.ndarray) -> Evidence:
     checked = inside & depth.is_confident[row, column]
     right = checked & (np.abs(depth.z[row, column] - z) < RIGHT * np.abs(z))
     return Evidence(int(right.sum()), int(checked.sum()))
+
+
+class StereoPoints(NamedTuple):
+    """Points on the surface, from which training starts."""
+
+    points: np.ndarray  # [P, 3] float32 world
+    colors: np.ndarray  # [P, 3] uint8
+    line: str  # their number, in words
+
+
+def stereo_points(swept: PhotoDepths, count: int) -> StereoPoints:
+    """Return at most `count` points (1 at least) of the depth of one photo at least, evenly spread."""
+    points = np.concatenate([each.view.lift(each.depth) for each in swept.accepted])
+    colors = np.concatenate([each.view.color[each.depth.is_confident] for each in swept.accepted])
+    indices = spread_evenly(points, count)
+    line = f"{len(indices):,} more points where photos agree about depth"
+    return StereoPoints(points[indices].astype(np.float32), colors[indices], line)
+
+
+def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:
+    """Return indices of one point in every occupied cell, of cells so large that there are at most `count`."""
+    some = np.arange(0, len(points), max(len(points) // (CANDIDATES * count), 1))
+    from_low = (points - points.min(axis=0))[some]
+    size = max(float(from_low.max()), 1e-30) / (2 * count)
+    while True:
+        x, y, z = np.floor(from_low / size).astype(np.int64).T
+        _, first = np.unique((x * (y.max() + 1) + y) * (z.max() + 1) + z, return_index=True)
+        if len(first) <= count:
+            return some[np.sort(first)]
+        size *= GROWTH

@@ -43,13 +43,8 @@ def _summed(values: np.ndarray) -> np.ndarray:
 def segment_planes(view: View, labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return `[H, W, 3]` the map of planes of the photo's segments, up to `MOST_PLANES` in each.
 
-    Every pixel of a segment takes the plane of the nearest pixel that lies on one, as far as that plane is known.
-
-    Args:
-        view: The photo.
-        labels: `[H, W]` of its segments.
-        planes: `[H, W, 3]` map of its confident depth.
-        rng: Draws the trials.
+    Every pixel of a segment takes the plane of the nearest pixel that lies on one, as far as that plane is known. The
+    labels `[H, W]` are those of the segments, the planes `[H, W, 3]` those of confident depth.
     """
     result = np.zeros_like(planes)
     labels = labels.ravel()

@@ -1,4 +1,7 @@
-"""Dissimilarity of a photo and its neighbours at every depth: a plane sweep (Collins, CVPR 1996)."""
+"""Dissimilarity of a photo and its neighbours at every depth, a plane sweep (Collins, CVPR 1996), and the best depths.
+
+These are smooth by semi-global matching (Hirschmüller, PAMI 2008).
+"""
 
 from collections.abc import Sequence
 
@@ -11,6 +14,8 @@ PLANES = 96
 WINDOW = 5  # pixels, side of the square that is compared
 FLAT = 1e-5  # variance of grey under which a window has no texture
 UNLIKE = 2.0  # the largest dissimilarity, and that of pixels that no neighbour shows
+STEP = 0.1  # cost of a neighbour at the next plane, in dissimilarities
+JUMP = 1.0  # cost of a neighbour at any other plane
 
 _HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # OpenCV's pixel centres are whole numbers.
 
@@ -23,11 +28,7 @@ def inverse_depths(view: View) -> np.ndarray:
 def dissimilarities(view: View, others: Sequence[View]) -> np.ndarray:
     """Compute 1 - the normalized cross-correlation with others, per pixel and plane parallel to the photo.
 
-    It is the mean of the two best, as a point may be hidden in the other neighbours.
-
-    Args:
-        view: The photo.
-        others: Its neighbours, one at least.
+    It is the mean of the two best neighbours, of one at least, as a point may be hidden in the others.
 
     Returns:
         `[PLANES, H, W]` float32 in 0 to `UNLIKE`; exposure and contrast of a photo do not change them.
@@ -69,3 +70,50 @@ def _correlation(gray: np.ndarray, moved: np.ndarray, mean: np.ndarray, variance
 
 def _windowed(values: np.ndarray) -> np.ndarray:
     return cv2.boxFilter(values, -1, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT)
+
+
+def best_planes(dissimilarity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the plane of every pixel, interpolated between planes by a parabola.
+
+    Of a dissimilarity `[D, H, W]`, D at least 3, these are `[H, W]` float32 places in planes from the first, and
+    `[H, W]` float32 dissimilarity at the nearest plane.
+    """
+    costs = np.ascontiguousarray(np.moveaxis(dissimilarity, 0, -1))
+    smooth = smoothed(costs)
+    plane = np.argmin(smooth, axis=-1)
+    inner = np.clip(plane, 1, smooth.shape[-1] - 2)
+    before, here, after = (_at(smooth, inner + step) for step in (-1, 0, 1))
+    bend = before - 2 * here + after
+    vertex = np.clip((before - after) / np.where(bend > 0, 2 * bend, 1), -0.5, 0.5)
+    places = plane.astype(np.float32) + np.where((bend > 0) & (plane == inner), vertex, 0)
+    return places, _at(costs, plane)
+
+
+def _at(values: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    return np.take_along_axis(values, plane[..., None], axis=-1)[..., 0]
+
+
+def smoothed(costs: np.ndarray) -> np.ndarray:
+    """Return `[H, W, D]` the sum of costs of the best paths that reach a pixel from four sides, at every plane."""
+    total = np.zeros_like(costs)
+    for paths, sums in ((costs, total), (costs.swapaxes(0, 1), total.swapaxes(0, 1))):
+        _add_paths(paths, sums)
+        _add_paths(paths[::-1], sums[::-1])
+    return total
+
+
+def _add_paths(costs: np.ndarray, total: np.ndarray) -> None:
+    """Add to `[L, N, D]` the costs along N paths of L pixels, from the first to the last."""
+    padded = np.full((costs.shape[1], costs.shape[2] + 2), np.inf, costs.dtype)
+    path = padded[:, 1:-1]
+    path[:] = 0
+    best = np.empty_like(costs[0])
+    for cost, sums in zip(costs, total, strict=True):
+        least = path.min(axis=-1, keepdims=True)
+        np.minimum(padded[:, :-2], padded[:, 2:], out=best)
+        best += STEP
+        np.minimum(best, path, out=best)
+        np.minimum(best, least + JUMP, out=best)
+        best -= least  # so that costs do not grow along a path
+        np.add(best, cost, out=path)
+        sums += path

@@ -4,6 +4,8 @@ Colours are linear: 16 bits keep all 256 values of sRGB apart, 8 would not. Posi
 them, they stand about a point near by, which is the translation of their node.
 """
 
+from functools import partial
+
 import numpy as np
 
 from gsjax.io.georeference_files import EXTRAS
@@ -19,12 +21,9 @@ OWN = "_color"  # What trimesh takes along untouched; it would write colours of 
 
 
 def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> bytes:
-    """A mesh as a GLB, its colours linear.
+    """A mesh as a GLB, its colours linear; `unlit` where viewers are to show them as they are: photos hold their light.
 
-    Args:
-        mesh: What to write.
-        place: What is known of the world that it lies in, for the extras of the asset.
-        unlit: Whether viewers are to show the colours as they are: photos hold their light.
+    What is known of its place is in the extras of the asset.
     """
     linear = np.ones((mesh.num_vertices, 4))
     linear[:, :3] = srgb_to_linear(mesh.colors / 255)
@@ -36,21 +35,13 @@ def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> b
         primitive = tree["meshes"][0]["primitives"][0]
         primitive["attributes"]["COLOR_0"] = primitive["attributes"].pop(OWN)
         tree["accessors"][primitive["attributes"]["COLOR_0"]]["normalized"] = True
-        shift_meshes(tree, offset)
-        state_place(tree, place)
-        if unlit:
-            mark_unlit(tree)
+        complete_tree(tree, offset, place, unlit=unlit)
 
     return surface.export(file_type="glb", tree_postprocessor=completed)
 
 
 def encode_textured(textured: TexturedMesh, place: Place = UNPLACED) -> bytes:
-    """A mesh with its texture as a GLB: one vertex a place in the texture. Unlit, as photos hold their light already.
-
-    Args:
-        textured: What to write.
-        place: As of `encode_glb`.
-    """
+    """A mesh with its texture as a GLB: one vertex a place in the texture. Unlit: photos hold their light already."""
     from PIL import Image
 
     trimesh, atlas = require("trimesh"), textured.atlas
@@ -60,11 +51,7 @@ def encode_textured(textured: TexturedMesh, place: Place = UNPLACED) -> bytes:
     vertices, offset = about_offset(textured.mesh.vertices[atlas.vertices])
     surface = trimesh.Trimesh(vertices, atlas.faces, visual=visual, process=False)
 
-    def completed(tree: dict) -> None:
-        mark_unlit(tree)
-        shift_meshes(tree, offset)
-        state_place(tree, place)
-
+    completed = partial(complete_tree, offset=offset, place=place, unlit=True)
     return surface.export(file_type="glb", include_normals=False, tree_postprocessor=completed)
 
 
@@ -74,24 +61,17 @@ def about_offset(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vertices - offset.astype(vertices.dtype), offset
 
 
-def shift_meshes(tree: dict, offset: np.ndarray) -> None:
-    """Moves the meshes of a glTF tree by `offset` `[3]`, where that is not zero."""
+def complete_tree(tree: dict, offset: np.ndarray, place: Place, *, unlit: bool) -> None:
+    """Moves the one mesh of a glTF tree by `offset` `[3]`, says what is known of its place, and makes it unlit."""
     for node in tree["nodes"]:
         if "mesh" in node and offset.any():
             node["translation"] = offset.tolist()
-
-
-def state_place(tree: dict, place: Place) -> None:
-    """Says in the extras of a glTF tree's asset what is known of its place."""
     if place.is_known:
         tree["asset"].setdefault("extras", {})[EXTRAS] = plain(place.statement())
-
-
-def mark_unlit(tree: dict) -> None:
-    """Adds KHR_materials_unlit to the material of a glTF tree with one mesh, and a material where there is none."""
-    tree.setdefault("materials", [{}])[0]["extensions"] = {"KHR_materials_unlit": {}}
-    tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
-    tree["meshes"][0]["primitives"][0].setdefault("material", 0)
+    if unlit:
+        tree.setdefault("materials", [{}])[0]["extensions"] = {"KHR_materials_unlit": {}}
+        tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
+        tree["meshes"][0]["primitives"][0].setdefault("material", 0)
 
 
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:

@@ -34,10 +34,6 @@ HEADER = 20  # bytes before the JSON, and 8 before the binary chunk behind it
 def read_glb(path: Path, named: NamedFiles) -> list[Part]:
     """The triangles that a GLB's scene shows, a part for each primitive.
 
-    Args:
-        path: The file.
-        named: The files in its folder.
-
     Raises:
         InputError: It cannot be read, or its triangles need an extension that is not read here, or are not in it.
         ValueError, LookupError, TypeError: It is damaged.

@@ -50,12 +50,11 @@ def read_materials(path: Path) -> dict[str, Material]:
 
 
 def _color(words: Sequence[str]) -> tuple[int, ...]:
-    try:
-        values = [float(word) for word in words[:3]]
-    except ValueError:  # A file of a spectrum, or none at all.
-        values = []
+    values = [_number(word) for word in words[:3]]
     values *= 3 if len(values) == 1 else 1
-    return tuple(to_bytes(np.array(values)).tolist()) if len(values) == 3 else Material.color
+    if len(values) < 3 or None in values:  # A file of a spectrum, or none at all.
+        return Material.color
+    return tuple(to_bytes(np.array(values, np.float64)).tolist())
 
 
 def _place_picture(material: Material, rest: str) -> None:

@@ -54,7 +54,8 @@ class NamedFiles:
 
     def _file(self, name: str) -> Path | None:
         for spelling in dict.fromkeys((name, _of_windows(name))):
-            steps = [step for step in _plain(spelling).split("/") if step not in ("", ".", "..")]
+            plain = spelling.strip().strip("\"'").replace("\\", "/")
+            steps = [step for step in plain.split("/") if step not in ("", ".", "..")]
             for first in range(len(steps)):
                 if file := _below(self._path.parent, steps[first:]):
                     return file
@@ -68,10 +69,6 @@ class NamedFiles:
         except InputError:
             self.report_missing(name, "is no picture that can be read")
             return None
-
-
-def _plain(name: str) -> str:
-    return name.strip().strip("\"'").replace("\\", "/")
 
 
 def _of_windows(name: str) -> str:

@@ -53,10 +53,6 @@ class _Content:
 def read_obj(path: Path, named: NamedFiles) -> list[Part]:
     """The triangles of an .obj by their materials: with a texture, with colours of vertices, or of their material's.
 
-    Args:
-        path: The file.
-        named: The files in its folder.
-
     Raises:
         InputError: It cannot be read, a line is none of an OBJ (its number is named), or an index is beyond its rows.
     """

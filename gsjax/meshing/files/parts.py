@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gsjax.meshing.files.named_files import NamedFiles
+
 BORDER = 1e-4  # Sides of a texture by which places may lie outside and still mean its border.
 INWARDS = 1e-5  # Share of the way to a triangle's centroid: there a corner's texel is one that the triangle shows.
 MOST_TEXELS = 2**26  # of a texture that is laid out several times: 8,192 x 8,192
@@ -22,23 +24,12 @@ class Part:
     texture: np.ndarray | None = None  # [H, W, 3] uint8 sRGB, repeated outside 0..1; only with places
 
 
-class TooOftenError(ValueError):
-    """A triangle shows its texture so often that no picture holds it."""
-
-
 def split_corners(
     vertices: np.ndarray, faces: np.ndarray, values: np.ndarray, value_rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A vertex for each pair of a vertex and a value.
+    """`[P, 3]` vertices, `[F, 3]` faces and `[P, K]` values: a vertex for each pair of a vertex and a value.
 
-    Args:
-        vertices: `[V, 3]`.
-        faces: `[F, 3]` rows of vertices.
-        values: `[U, K]` what corners of triangles have.
-        value_rows: `[F, 3]` rows of values.
-
-    Returns:
-        `[P, 3]` vertices, `[F, 3]` faces and `[P, K]` values.
+    A face `[F, 3]` has rows of the vertices `[V, 3]` and, in `value_rows` `[F, 3]`, of the values `[U, K]`.
     """
     keys, corners = np.unique(faces.astype(np.int64) * len(values) + value_rows, return_inverse=True)
     return vertices[keys // len(values)], corners.reshape(-1, 3), values[keys % len(values)]
@@ -51,11 +42,10 @@ def without_unused(part: Part) -> Part:
     return replace(part, vertices=part.vertices[rows], faces=corners.reshape(-1, 3), colors=part.colors[rows], uvs=uvs)
 
 
-def within_texture(part: Part) -> Part:
+def within_texture(part: Part, named: NamedFiles) -> Part:
     """The same part with places in 0..1: whole sides are subtracted, and what is shown repeatedly is laid out so.
 
-    Raises:
-        TooOftenError: The laid out texture would have over `MOST_TEXELS`.
+    Where that would take over `MOST_TEXELS`, one line says so, and the vertices' colours are left.
     """
     if part.texture is None or part.uvs is None or (np.abs(part.uvs - 0.5) <= 0.5 + BORDER).all():
         return part
@@ -64,7 +54,9 @@ def within_texture(part: Part) -> Part:
     across, down = np.maximum(np.ceil(corners.max(axis=1) - BORDER) - low, 1).max(axis=0)
     height, width = part.texture.shape[:2]
     if across * down > 1 and height * width * across * down > MOST_TEXELS:
-        raise TooOftenError(f"a triangle shows its texture {max(across, down):.0f} times, too often to be laid out")
+        fault = f"a triangle shows its texture {max(across, down):.0f} times, too often to be laid out"
+        named.report_missing("a texture", f"cannot be laid out ({fault})")
+        return replace(part, uvs=None, texture=None)
     shifts, rows = np.unique(low, axis=0, return_inverse=True)
     vertices, faces, tiles = split_corners(
         np.hstack([part.vertices, part.uvs, part.colors]), part.faces, shifts, np.repeat(rows.reshape(-1, 1), 3, axis=1)
@@ -86,11 +78,7 @@ def clamp_places(places: np.ndarray, side: int) -> np.ndarray:
 
 
 def merge_parts(parts: Sequence[Part]) -> Part:
-    """One part: with a texture where all have one or one colour, else with the colours of each at its vertices.
-
-    Args:
-        parts: At least one, each with places in 0..1.
-    """
+    """One part of some, with places in 0..1: with a texture where all have one or one colour, else with colours."""
     if len(parts) == 1:
         return parts[0]
     if any(part.texture is not None for part in parts):

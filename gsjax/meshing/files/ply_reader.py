@@ -15,22 +15,18 @@ from gsjax.meshing.files.parts import Part, split_corners, without_unused
 from gsjax.scene.colors import shares, to_bytes
 
 _PICTURE = re.compile(rb"^comment\s+TextureFile\s+(.+?)\s*$", re.M | re.I)
-_LONGEST_HEADER = 2**16  # bytes
+LONGEST_HEADER = 2**16  # bytes
 
 
 def read_ply(path: Path, named: NamedFiles) -> list[Part]:
     """The triangles of a PLY: a part for each picture, or one with colours of vertices.
-
-    Args:
-        path: The file.
-        named: The files in its folder.
 
     Raises:
         InputError: It cannot be read.
         ValueError, LookupError, TypeError: It is damaged.
     """
     with path.open("rb") as file:
-        header = file.read(_LONGEST_HEADER).partition(b"\nend_header")[0]
+        header = file.read(LONGEST_HEADER).partition(b"\nend_header")[0]
         names = [name.decode("utf-8", "surrogateescape") for name in _PICTURE.findall(header)]
         textures = [named.texture(name) for name in names]
         has_texture = any(texture is not None for texture in textures)

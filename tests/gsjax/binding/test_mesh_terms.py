@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tolerances import assert_close
 
-from gsjax.binding.mesh_terms import mesh_graph, normal_consistency
+from gsjax.binding.mesh_terms import neighboring_faces, normal_consistency
 
 
 def grid(rng):
@@ -20,7 +20,7 @@ with_slope = jax.jit(jax.value_and_grad(normal_consistency))
 
 
 def consistency(vertices, faces):
-    return with_slope(np.float32(vertices), faces, mesh_graph(faces))[0]
+    return with_slope(np.float32(vertices), faces, neighboring_faces(faces))[0]
 
 
 def by_numpy(vertices, faces):
@@ -49,9 +49,9 @@ def test_a_collapsed_triangle_says_nothing_and_leaves_gradients_finite(place):
     vertices = np.r_[square, [place]].astype(np.float32)
     vertices[4, 2] = 0.1 * place[0]
     faces = np.array([[0, 1, 2], [0, 2, 3], [1, 0, 4]], np.int32)
-    assert len(mesh_graph(faces).face_pairs) == 2
-    value, slope = with_slope(vertices, faces, mesh_graph(faces))
-    alone, expected = with_slope(square, faces[:2], mesh_graph(faces[:2]))
+    assert len(neighboring_faces(faces)) == 2
+    value, slope = with_slope(vertices, faces, neighboring_faces(faces))
+    alone, expected = with_slope(square, faces[:2], neighboring_faces(faces[:2]))
     assert_close(value, 0.5 * alone)  # the mean is over one pair more
     assert_close(slope[:4], 0.5 * expected, kind="gradient")
     assert not np.any(slope[4])
@@ -59,8 +59,8 @@ def test_a_collapsed_triangle_says_nothing_and_leaves_gradients_finite(place):
 
 def test_repeated_corners_folded_and_crowded_edges_are_counted_once():
     faces = np.array([[0, 1, 2], [0, 0, 1], [1, 0, 3], [1, 0, 4], [0, 1, 5]], np.int32)
-    graph = mesh_graph(faces)
-    assert [sorted(pair) for pair in np.asarray(graph.face_pairs).tolist()] == [[0, 2]]
-    same_way = mesh_graph(np.array([[0, 1, 2], [0, 1, 3]], np.int32))  # inconsistent: normals cannot be compared
-    assert same_way.face_pairs.shape == (0, 2)
+    pairs = neighboring_faces(faces)
+    assert [sorted(pair) for pair in np.asarray(pairs).tolist()] == [[0, 2]]
+    same_way = neighboring_faces(np.array([[0, 1, 2], [0, 1, 3]], np.int32))  # inconsistent: normals cannot be compared
+    assert same_way.shape == (0, 2)
     assert float(consistency(np.eye(3), np.array([[0, 1, 2]], np.int32))) == 0

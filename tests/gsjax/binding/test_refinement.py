@@ -11,7 +11,7 @@ from tolerances import assert_close
 from gsjax import config
 from gsjax.binding import refinement
 from gsjax.binding.bound import bind, to_mesh
-from gsjax.binding.mesh_terms import mesh_graph
+from gsjax.binding.mesh_terms import neighboring_faces
 from gsjax.binding.mixed_gaussians import MixedGaussians, with_free
 from gsjax.binding.refinement import Refinement, RefinementRates
 from gsjax.errors import InputError
@@ -60,7 +60,7 @@ def scene():
         for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
     )
     return SimpleNamespace(
-        truth=truth, rough=rough, frames=frames, data=batches.read_batches(frames), graph=mesh_graph(truth.faces)
+        truth=truth, rough=rough, frames=frames, data=batches.read_batches(frames), graph=neighboring_faces(truth.faces)
     )
 
 

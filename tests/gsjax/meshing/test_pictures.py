@@ -9,7 +9,6 @@ from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.pictures import (
     depth_of_mesh,
     headlight,
-    normal_colors,
     render_mesh,
     smooth_pictures,
     texture_colors,
@@ -44,7 +43,7 @@ def test_a_square_covers_its_pixels_at_its_depth_and_the_nearer_of_two_is_seen()
 
 
 def test_back_faces_are_dark_red_in_every_shading():
-    for shading in (vertex_colors, normal_colors, headlight):
+    for shading in (vertex_colors, headlight):
         picture = render_mesh(turned(square(2.0)), np.eye(4), K, WIDTH, HEIGHT, shading=shading)
         assert np.all(picture[covered(2.0)] == [115, 0, 0])
 
@@ -53,14 +52,14 @@ def test_sphere_normals_against_the_closed_form_from_any_pose():
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = [[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.1, 0.2, 0.3]
     mesh = ball(4, center=viewmat[:3, :3].T @ ([0, 0, 4] - viewmat[:3, 3]))
-    picture = render_mesh(mesh, viewmat, K, WIDTH, HEIGHT, shading=normal_colors).astype(float)
+    picture = render_mesh(mesh, viewmat, K, WIDTH, HEIGHT, shading=lambda hits: (hits.normals + 1) / 2).astype(float)
     depth = depth_of_mesh(mesh, viewmat, K, WIDTH, HEIGHT)
     rows, columns = np.nonzero(depth)
     points = (
         np.stack([(columns + 0.5 - 17) / 40, (rows + 0.5 - 14) / 50, np.ones(len(rows))], -1)
         * depth[rows, columns, None]
     )
-    normals = (points - [0, 0, 4]) * [1, -1, -1]
+    normals = points - [0, 0, 4]
     assert len(rows) == pytest.approx(np.pi * (1 / np.sqrt(15)) ** 2 * 40 * 50, rel=0.05)
     assert np.abs(picture[rows, columns] - (normals + 1) * 127.5).mean() < 3
 

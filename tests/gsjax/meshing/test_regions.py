@@ -44,4 +44,4 @@ def test_an_even_spread_is_one_region_and_a_long_tail_a_background_of_its_own():
     np.testing.assert_allclose(
         boxes["background"].box.longest, regions.BACKGROUND_FACTOR * boxes["foreground"].box.longest
     )
-    assert regions.near_only(points)["foreground"].corners() == boxes["foreground"].corners()
+    assert regions.Crop(foreground_only=True).regions(points)["foreground"].corners() == boxes["foreground"].corners()

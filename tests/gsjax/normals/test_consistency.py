@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from tolerances import assert_close
 
 from gsjax.normals.consistency import LONGEST, View, full_size, judge_maps, share_compared, stride_of, thinned_view
-from gsjax.normals.sparse_depth import sparse_depth
+from gsjax.normals.fitted_depth import sparse_depth
 from gsjax.scene.cameras import look_at
 
 WIDTH, HEIGHT = 64, 48

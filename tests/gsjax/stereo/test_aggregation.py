@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tolerances import assert_close
 
-from gsjax.stereo.aggregation import JUMP, STEP, best_planes, smoothed
+from gsjax.stereo.sweep import JUMP, STEP, best_planes, smoothed
 
 
 def by_loops(costs):
@@ -36,11 +36,11 @@ def test_costs_are_those_of_the_best_paths(shape):
 def test_places_between_planes_are_vertices_of_parabolas():
     truth = np.array([[2.3, 2.3], [2.3, 2.3]])
     costs = 0.01 * (np.arange(6)[:, None, None] - truth) ** 2
-    planes = best_planes(costs.astype(np.float32))
+    places, unlike = best_planes(costs.astype(np.float32))
     # All pixels have one parabola, so the paths change none of it: four times the cost and what came before.
-    assert_close(planes.places, truth.astype(np.float32), rtol=1e-4, atol=0, why="differences of close float32 numbers")
-    assert_close(planes.unlike, costs[2].astype(np.float32))
+    assert_close(places, truth.astype(np.float32), rtol=1e-4, atol=0, why="differences of close float32 numbers")
+    assert_close(unlike, costs[2].astype(np.float32))
     for plane in (0, 5):
         costs = np.ones((6, 3, 3), np.float32)
         costs[plane] = 0
-        np.testing.assert_array_equal(best_planes(costs).places, plane, err_msg="the first and the last are whole")
+        np.testing.assert_array_equal(best_planes(costs)[0], plane, err_msg="the first and the last are whole")
