@@ -48,9 +48,6 @@ def read_tracks(model: Path) -> Tracks:
     """The observations of a COLMAP model, photos sorted by name, points in the order of `read_capture`.
 
     Keypoints whose lens model gives no ray are left out, and those of points that the model does not have.
-
-    Raises:
-        InputError: As `read_capture`.
     """
     read = read_model(model)
     parts = [_observations(read, image) for image in read.images]

@@ -30,29 +30,17 @@ def count_images(file: Path) -> int:
 
 
 def read_cameras(file: Path) -> dict[int, Lens]:
-    """The cameras by their ids; their numbers are not checked.
-
-    Raises:
-        InputError: The file is truncated, has a model that COLMAP does not know, or two cameras of one id.
-    """
+    """The cameras by their ids; their numbers are not checked."""
     return by_id(file, _records(file, _camera_at))
 
 
 def read_images(file: Path) -> list[ImageRecord]:
-    """The images in the file's order.
-
-    Raises:
-        InputError: The file is truncated.
-    """
+    """The images in the file's order."""
     return list(_records(file, _image_at))
 
 
 def read_points(file: Path) -> np.ndarray:
-    """`[P]` structured array of `id`, `xyz` and `color`.
-
-    Raises:
-        InputError: The file is truncated.
-    """
+    """`[P]` structured array of `id`, `xyz` and `color`."""
     return np.frombuffer(b"".join(_records(file, _point_at)), _POINT)
 
 

@@ -25,29 +25,17 @@ def count_images(file: Path) -> int:
 
 
 def read_cameras(file: Path) -> dict[int, Lens]:
-    """The cameras by their ids; their numbers are not checked.
-
-    Raises:
-        InputError: A line is no camera, or of a model that COLMAP does not know; or two cameras have one id.
-    """
+    """The cameras by their ids; their numbers are not checked."""
     return by_id(file, (_camera(file, number, line) for number, line in _lines(file) if line))
 
 
 def read_images(file: Path) -> list[ImageRecord]:
-    """The images in the file's order.
-
-    Raises:
-        InputError: A line is neither an image nor the keypoints of the one before.
-    """
+    """The images in the file's order."""
     return list(_images(file))
 
 
 def read_points(file: Path) -> np.ndarray:
-    """`[P]` structured array of `id`, `xyz` and `color`, the last as it is written: floats.
-
-    Raises:
-        InputError: A line is no point.
-    """
+    """`[P]` structured array of `id`, `xyz` and `color`, the last as it is written: floats."""
     return np.fromiter((_point(file, number, line) for number, line in _lines(file) if line), _POINT)
 
 

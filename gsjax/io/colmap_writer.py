@@ -34,9 +34,6 @@ def write_model(
         points: `[P, 3]` world; without observations.
         colors: `[P, 3]` uint8.
         similarity: To the coordinates of frames and points from those of the model.
-
-    Raises:
-        InputError: It cannot be written.
     """
     pycolmap = require("pycolmap")
     model = pycolmap.Reconstruction()

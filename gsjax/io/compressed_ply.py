@@ -82,9 +82,6 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
 
     Returns:
         Gaussians of numpy float32 arrays.
-
-    Raises:
-        InputError: The file is no compressed PLY, is truncated, or holds bounds that are not finite.
     """
     path = Path(path)
     elements, header = ply_elements.read_elements(path)

@@ -107,9 +107,6 @@ def workspace(path: str | Path) -> Iterator[Path]:
     """A folder next to `path` for what is to become it, removed after the block.
 
     What killed ones have left there is removed first.
-
-    Raises:
-        InputError: The disk is full, read-only, or the like.
     """
     path = behind_link(Path(path))
     make_folder(path.parent)
@@ -137,9 +134,6 @@ def replaced_files(folder: Path) -> Iterator[Path]:
 
     If the block fails or is killed, nothing has changed. If the process is killed later, the next `finish_replacement`
     completes the replacement; every reader of the folder calls it.
-
-    Raises:
-        InputError: The disk is full, read-only, or the like.
     """
     finish_replacement(folder)
     with workspace(folder / PENDING) as new_folder:
@@ -151,11 +145,7 @@ def replaced_files(folder: Path) -> Iterator[Path]:
 
 
 def finish_replacement(folder: Path) -> None:
-    """Puts the files in place that a killed `replaced_files` has left pending.
-
-    Raises:
-        InputError: They cannot be put there.
-    """
+    """Puts the files in place that a killed `replaced_files` has left pending."""
     pending = folder / PENDING
     if not pending.is_dir():
         return
@@ -172,11 +162,7 @@ def finish_replacement(folder: Path) -> None:
 
 @contextmanager
 def folder_if_used(path: str | Path) -> Iterator[Path]:
-    """A folder that is made for the block, and taken away again, with parents made for it, where nothing came into it.
-
-    Raises:
-        InputError: It cannot be created, or a file has its name.
-    """
+    """A folder that is made for the block; where nothing came into it, it and the parents made for it go again."""
     path = Path(path)
     new_folders = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
@@ -188,11 +174,7 @@ def folder_if_used(path: str | Path) -> Iterator[Path]:
 
 
 def make_folder(path: str | Path) -> Path:
-    """Creates a folder and its parents where absent.
-
-    Raises:
-        InputError: It cannot be created, or a file has its name.
-    """
+    """Creates a folder and its parents where absent."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -48,11 +48,7 @@ def _stated_beside(write: Callable[[Path, Gaussians], int]) -> Callable[[Path, G
 
 
 def stored_similarity(path: str | Path) -> Similarity:
-    """To the coordinates in a compressed file from those of its Gaussians, as the JSON file next to it states.
-
-    Raises:
-        InputError: That is damaged.
-    """
+    """To the coordinates in a compressed file from those of its Gaussians, as the JSON file next to it states."""
     file = _beside(path)
     return parse_similarity(json_files.read(file), file) if file.exists() else IDENTITY
 

@@ -23,9 +23,6 @@ def with_image_circles(photos: Sequence[Photo]) -> list[Photo]:
     """The photos, of those of circular fisheyes with lenses that know how far their picture goes.
 
     A few photos of each such lens are read.
-
-    Raises:
-        InputError: One of them cannot be read.
     """
     circular = {lens for lens in {photo.lens for photo in photos} if is_circular(lens)}
     measured_lenses = {lens: replace(lens, reach=_reach(lens, photos)) for lens in circular}

@@ -138,21 +138,13 @@ def decode_rgba(where: str, content: bytes, *, most: int) -> np.ndarray:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height in pixels, from the header only.
-
-    Raises:
-        InputError: The file is missing or no image.
-    """
+    """Width and height in pixels, from the header only."""
     with open_image(path) as picture:
         return picture.size
 
 
 def upright_size(path: Path) -> tuple[int, int]:
-    """Width and height of the picture as its EXIF orientation shows it, from the header only.
-
-    Raises:
-        InputError: The file is missing or no image.
-    """
+    """Width and height of the picture as its EXIF orientation shows it, from the header only."""
     with open_image(path) as picture:
         width, height = picture.size
         return (height, width) if orientation_of(picture) in _QUARTER_TURNS else (width, height)

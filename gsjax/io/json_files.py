@@ -16,11 +16,7 @@ DEEPEST = 50  # levels of a file; whoever walks through one calls itself as ofte
 
 
 def write(path: str | Path, data: Any) -> None:
-    """Writes indented JSON; numpy and jax scalars become numbers, arrays lists, NaN and infinities null.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Writes indented JSON; numpy and jax scalars become numbers, arrays lists, NaN and infinities null."""
     text = json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -43,11 +39,7 @@ def read(path: str | Path, shape: Shape = object) -> Any:
 
 
 def parse(where: object, text: str, shape: Shape = object) -> Any:
-    """What a JSON text holds; `where` names it in messages.
-
-    Raises:
-        InputError: It is no JSON, is nested deeper than `DEEPEST`, or has not the shape.
-    """
+    """What a JSON text holds; `where` names it in messages."""
     try:
         value = json.loads(text, parse_int=_integer)
     except ValueError as error:

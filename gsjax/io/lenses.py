@@ -220,9 +220,6 @@ def _faces(lens: Lens) -> tuple[PinholeView, ...]:
     """The faces of a cube that the photo covers, of 90 degrees each, cut to what it covers of each.
 
     Their pixels are as dense in the middle as a fisheye photo's middle, or as a panorama's equator.
-
-    Raises:
-        InputError: It covers nothing of any.
     """
     camera, is_panorama = pycolmap_camera(lens), lens.model == "EQUIRECTANGULAR"
     side = max(2, round(lens.width / np.pi if is_panorama else 2 * camera.mean_focal_length()))

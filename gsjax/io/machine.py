@@ -112,9 +112,6 @@ def memory_for(what: str, size: float) -> Iterator[None]:
     """As `require_memory`, for the block: other threads that ask meanwhile wait until there is room for theirs as well.
 
     What a block has taken already counts twice then, so that rather too few of them run together.
-
-    Raises:
-        InputError: There is no room for it alone.
     """
     with _ASKING:
         _ASKING.wait_for(lambda: not _PROMISED or size <= free_memory() - sum(_PROMISED))

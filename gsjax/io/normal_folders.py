@@ -27,11 +27,7 @@ def is_recorded(folder: str | Path) -> bool:
 
 
 def network_of(folder: str | Path) -> str | None:
-    """The network that made a folder's maps, by its name; None where they came from elsewhere.
-
-    Raises:
-        InputError: The manifest is damaged.
-    """
+    """The network that made a folder's maps, by its name; None where they came from elsewhere."""
     return _read(Path(folder))["made_by"]["network"] if is_recorded(folder) else None
 
 
@@ -64,11 +60,7 @@ def begin(folder: Path, made_by: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def add(folder: Path, manifest: dict[str, Any], name: str, file: Path, normals: np.ndarray, about: Any) -> None:
-    """Writes the `[H, W, 3]` map of the photo `name` as `file` (within the folder), then the manifest that lists it.
-
-    Raises:
-        InputError: The disk is full or read-only.
-    """
+    """Writes the `[H, W, 3]` map of the photo `name` as `file` (within the folder), then the manifest that lists it."""
     if not is_recorded(folder):  # First, so that a run killed now is one that can go on.
         json_files.write(folder / MANIFEST, manifest)
     with atomic_path(folder / file) as temporary:

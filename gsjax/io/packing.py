@@ -36,11 +36,7 @@ def check_packable(path: str | Path, gaussians: Gaussians) -> None:
 
 
 def packed_gaussians(path: Path, **values: Any) -> Gaussians:
-    """The Gaussians of a packed file, float32, of their fields as arrays of any float.
-
-    Raises:
-        InputError: A number is beyond what float32 holds.
-    """
+    """The Gaussians of a packed file, float32, of their fields as arrays of any float."""
     with np.errstate(over="ignore"):
         read = jax.tree.map(lambda array: array.astype(np.float32), Gaussians(**values))
     if not all(np.isfinite(array).all() for array in jax.tree.leaves(read)):

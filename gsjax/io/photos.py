@@ -53,11 +53,7 @@ class Capture:
 
 
 def readable_photos(photos: Sequence[Photo]) -> list[Photo]:
-    """The photos whose files, and whose masks, are whole (`gsjax.io.bad_items`). All are decoded, once in a process.
-
-    Raises:
-        InputError: Too few are.
-    """
+    """The photos whose files, and whose masks, are whole (`gsjax.io.bad_items`). All are decoded, once in a process."""
     checked = parallel_map(_file_fault, photos)
     reasons = list(tqdm(checked, total=len(photos), desc="checking", unit="photo", leave=False, delay=2))
     faults = [Fault(photo.name, reason) for photo, reason in zip(photos, reasons, strict=True) if reason]

@@ -55,9 +55,6 @@ def write_gaussians(
         gaussians: What to write.
         place: What is known of the place that they lie in.
         cameras: `[C, 3]` centres of cameras, in the coordinates of the means.
-
-    Raises:
-        InputError: The target cannot be written.
     """
     rest = rest_columns(gaussians.sh_rest)
     count, width = rest.shape

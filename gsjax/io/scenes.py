@@ -91,11 +91,7 @@ def load_scene(
 
 
 def list_photos(root: str | Path, images: str | None = None) -> list[Photo]:
-    """The photos of a data set by name, with the files that they lie in.
-
-    Raises:
-        InputError: As of `load_scene`.
-    """
+    """The photos of a data set by name, with the files that they lie in."""
     root = Path(root)
     return readable_photos(_checked_photos(root, locate_photos(root, _read_capture(root).photos, images)))
 

@@ -132,9 +132,6 @@ def read_sog(path: str | Path) -> Gaussians:
 
     Returns:
         Gaussians of numpy float32 arrays.
-
-    Raises:
-        InputError: The file is no SOG, is of another version, or is truncated or damaged.
     """
     path = Path(path)
     try:

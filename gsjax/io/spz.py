@@ -61,9 +61,6 @@ def write_spz(path: str | Path, gaussians: Gaussians) -> int:
 
     Returns:
         How many Gaussians hold values that the format cannot reach.
-
-    Raises:
-        InputError: As of `spz_bytes`, or the target cannot be written.
     """
     packed, clipped = spz_bytes(gaussians, path)
     with atomic_path(path) as temporary:
@@ -119,9 +116,6 @@ def read_spz(path: str | Path) -> Gaussians:
 
     Returns:
         Gaussians of numpy float32 arrays, in the axes of a PLY.
-
-    Raises:
-        InputError: The file is no SPZ, is of another version, has axes of its own, or is truncated or damaged.
     """
     path = Path(path)
     data = read_bytes(path)

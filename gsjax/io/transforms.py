@@ -28,9 +28,6 @@ def read_transforms(root: Path) -> Capture:
     Points are those that `ply_file_path` names, or else random ones (`gsjax.io.random_points.points_in_view`). The
     split is the one that the file states, if it does (`gsjax.io.transforms_splits`), or that a file for testing next
     to it does.
-
-    Raises:
-        InputError: The file, or a file that it names, is missing, damaged or contradicts itself.
     """
     file = root / FILES[0]
     meta = _read_json(file)
@@ -48,9 +45,6 @@ def read_synthetic(root: Path) -> Capture:
     """Photos of the NeRF-synthetic layout; those of `transforms_test.json`, or else of `_val`, are held out.
 
     Points are random in [-1.3, 1.3]^3, as in 3DGS, or where the cameras look if they do not stand around that.
-
-    Raises:
-        InputError: A file is missing, damaged or contradicts itself.
     """
     train = root / FILES[1]
     photos = _with_tests(root, _photos(train, _read_json(train)))

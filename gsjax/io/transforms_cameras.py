@@ -35,11 +35,7 @@ _UNEVEN = 1e-2  # share by which rounding may make the axes of a camera differ i
 
 
 def viewmat_of(file: Path, entry: dict[str, Any]) -> np.ndarray:
-    """World to camera, `[4, 4]` float64; a rotation that is off by rounding, or scaled evenly, is made exact.
-
-    Raises:
-        InputError: The matrix is none, or more than that.
-    """
+    """World to camera, `[4, 4]` float64; a rotation that is off by rounding, or scaled evenly, is made exact."""
     where = f"{file}: transform_matrix of {entry['file_path']}"
     try:
         matrix = np.array(entry["transform_matrix"], np.float64)
@@ -67,11 +63,7 @@ def has_size(entry: dict[str, Any]) -> bool:
 
 
 def lens_of(file: Path, entry: dict[str, Any], path: Path) -> Lens:
-    """The lens of a frame, as large as the entry says, or else as its photo at `path` is.
-
-    Raises:
-        InputError: A number is missing or none, the camera model unknown, or the photo needed and unreadable.
-    """
+    """The lens of a frame, as large as the entry says, or else as its photo at `path` is."""
     where = f"{file}: camera of {entry['file_path']}"
     name = entry.get("camera_model") or ("OPENCV_FISHEYE" if entry.get("is_fisheye") else "OPENCV")
     model = name.upper() if isinstance(name, str) else ""
