@@ -1,7 +1,6 @@
 """Text files of a COLMAP model: lines of words, comments behind a # (https://colmap.github.io/format.html).
 
-Other programs write them too: without the line of keypoints behind an image, with spaces in names, with a byte order
-mark, in Latin-1.
+Files of other programs may lack the keypoints behind an image; they may have spaces in names, or a byte order mark.
 """
 
 from collections.abc import Iterator
