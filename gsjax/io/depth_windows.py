@@ -65,7 +65,7 @@ def window_of(file: Path, size: tuple[int, int], frame: Frame, intrinsics: np.nd
 
 
 def on_grid(
-    readings: tuple[np.ndarray, np.ndarray], frame: Frame, scale: int, window: Window | None = None
+    readings: tuple[np.ndarray, np.ndarray], frame: Frame, scale: int, window: Window
 ) -> tuple[np.ndarray, np.ndarray]:
     """What was measured, at the pixels of a frame: `[H // scale, W // scale]`, 0 where nothing was.
 
@@ -77,10 +77,8 @@ def on_grid(
         readings: Depth and confidence, `[h, w]` of any size.
         frame: The photo's.
         scale: The frame is reduced by this factor; a rest at the right and the bottom is dropped.
-        window: What of the map the photo shows; None: all.
+        window: What of the map the photo shows.
     """
-    height, width = readings[0].shape
-    window = window or Window(0, 0, width, height)
     if frame.origin is not None and not window.is_undistorted:
         readings = _undistorted(readings, frame.origin.positions(), window)
         window = Window(0, 0, frame.width, frame.height)

@@ -1,8 +1,7 @@
 """Groups of photos that show one shot: a HEIC and its JPEG, a resized or re-encoded file, a second file of one name.
 
 Two files show the same shot where small grey pictures of them are equal but for what encoders, resizing and another
-colour space change. A frame of a video differs from the next one by more: each group is compared with its first photo
-only, so that a slow video does not become one group by small steps.
+colour space change. Each group is compared with its first photo only, or a slow video would become one group.
 """
 
 import os
@@ -87,15 +86,8 @@ def _reduced(file: Path, picture):
 
 def _upright(small, picture):
     """The small picture, turned as the EXIF orientation of the file says."""
-    transposes = Image.Transpose
-    turns = {
-        2: transposes.FLIP_LEFT_RIGHT,
-        3: transposes.ROTATE_180,
-        4: transposes.FLIP_TOP_BOTTOM,
-        5: transposes.TRANSPOSE,
-        6: transposes.ROTATE_270,
-        7: transposes.TRANSVERSE,
-        8: transposes.ROTATE_90,
-    }
-    orientation = orientation_of(picture)
-    return small.transpose(turns[orientation]) if orientation in turns else small
+    turn = Image.Transpose
+    turns = [turn.FLIP_LEFT_RIGHT, turn.ROTATE_180, turn.FLIP_TOP_BOTTOM]
+    turns += [turn.TRANSPOSE, turn.ROTATE_270, turn.TRANSVERSE, turn.ROTATE_90]
+    orientation = orientation_of(picture) or 1
+    return small if orientation == 1 else small.transpose(turns[orientation - 2])

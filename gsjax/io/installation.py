@@ -36,15 +36,8 @@ class Finding:
     remedy: str = ""  # what to type where it is not fine
 
 
-def examine(folder: str | Path = ".") -> Iterator[Finding]:
-    """Check libraries, the device, the rasterizer's engine, memory, disk, and the cache of compiled programs.
-
-    Args:
-        folder: Where runs are to be written.
-
-    Yields:
-        What was found, as it is found.
-    """
+def examine() -> Iterator[Finding]:
+    """Check libraries, the device, the rasterizer's engine, memory, this folder's disk, the cache of programs."""
     broken = set()
     for finding in check_libraries():
         broken |= set() if finding.is_fine else {finding.name}
@@ -52,7 +45,7 @@ def examine(folder: str | Path = ".") -> Iterator[Finding]:
     if not broken & {"jax", "numpy"}:
         yield from check_device()
     yield check_memory()
-    yield check_disk(Path(folder))
+    yield check_disk(Path())
     yield check_cache()
 
 

@@ -12,7 +12,6 @@ from gsjax.io.files import atomic_path, read_bytes
 from gsjax.io.json_shapes import Shape, check
 
 MOST_DIGITS = 19  # of an integer: nothing that is counted has more, and floats hold it
-DEEPEST = 50  # levels of a file; whoever walks through one calls itself as often
 
 
 def write(path: str | Path, data: Any) -> None:
@@ -30,7 +29,7 @@ def read(path: str | Path, shape: Shape = object) -> Any:
         shape: What it must look like, see `gsjax.io.json_shapes`.
 
     Raises:
-        InputError: The file is absent, is no JSON, is nested deeper than `DEEPEST`, or has not the shape.
+        InputError: The file is absent, is no JSON, is nested too deeply, or has not the shape.
     """
     try:
         return parse(path, read_bytes(path).decode("utf-8-sig"), shape)
@@ -45,11 +44,7 @@ def parse(where: object, text: str, shape: Shape = object) -> Any:
     except ValueError as error:
         raise InputError(f"{where}: is no JSON ({str(error).splitlines()[0]})") from error
     except RecursionError:
-        value, too_deep = None, True
-    else:
-        too_deep = _is_deeper(value, DEEPEST)
-    if too_deep:
-        raise InputError(f"{where}: is nested deeper than {DEEPEST} levels")
+        raise InputError(f"{where}: is nested too deeply") from None
     check(where, value, shape)
     return value
 
@@ -58,17 +53,6 @@ def _integer(digits: str) -> int:
     if len(digits) > MOST_DIGITS:
         raise ValueError(f"an integer of {len(digits)} characters")
     return int(digits)
-
-
-def _is_deeper(value: Any, levels: int) -> bool:
-    """Whether lists and tables lie in each other deeper than so many levels."""
-    layer = [value]
-    for _ in range(levels):
-        inner = (item.values() if isinstance(item, dict) else item for item in layer if isinstance(item, dict | list))
-        layer = [item for items in inner for item in items]
-        if not layer:
-            return False
-    return any(isinstance(item, dict | list) for item in layer)
 
 
 def plain(value: Any) -> Any:

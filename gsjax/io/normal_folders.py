@@ -98,14 +98,7 @@ def find(scene: str | Path, name: str) -> str:
 
 
 def _read(folder: Path) -> dict[str, Any]:
-    manifest = json_files.read(folder / MANIFEST)
-    try:
-        is_valid = isinstance(manifest["made_by"]["network"], str) and isinstance(manifest["maps"], dict)
-    except (TypeError, KeyError):
-        is_valid = False
-    if not is_valid:
-        raise InputError(f"{folder / MANIFEST}: does not say what made the maps")
-    return manifest
+    return json_files.read(folder / MANIFEST, {"made_by": {"network": str}, "maps": {str: object}})
 
 
 def _difference(key: str, before: Any, now: Any) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io import json_files
 from gsjax.io.bad_items import leave_out, read_usable
 from gsjax.io.files import read_bytes
 from gsjax.io.photo_names import local_names, short_name
@@ -64,14 +65,10 @@ def _read_json(file: Path) -> dict[str, Any]:
     """With or without a byte order mark; text that is no UTF is Latin-1."""
     data = read_bytes(file)
     try:
-        try:
-            meta = json.loads(data)
-        except UnicodeDecodeError:
-            meta = json.loads(data.decode("latin-1"))
-    except RecursionError:
-        raise InputError(f"{file}: cannot be read as JSON (it is nested too deeply)") from None
-    except ValueError as error:
-        raise InputError(f"{file}: cannot be read as JSON ({error})") from error
+        text = data.decode(json.detect_encoding(data))
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    meta = json_files.parse(file, text)
     if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
         raise InputError(f'{file}: has no list "frames"')
     return meta

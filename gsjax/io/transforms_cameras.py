@@ -57,11 +57,6 @@ def viewmat_of(file: Path, entry: dict[str, Any]) -> np.ndarray:
     return np.linalg.inv(camera_to_world @ _OPENGL_TO_OPENCV)
 
 
-def has_size(entry: dict[str, Any]) -> bool:
-    """Whether an entry says how large its photo is."""
-    return bool(entry.get("w") and entry.get("h"))
-
-
 def lens_of(file: Path, entry: dict[str, Any], path: Path) -> Lens:
     """The lens of a frame, as large as the entry says, or else as its photo at `path` is."""
     where = f"{file}: camera of {entry['file_path']}"
@@ -102,11 +97,8 @@ def depth_of(entry: dict[str, Any], path: Path | None) -> DepthFile | None:
 
 
 def _size(where: str, entry: dict[str, Any], path: Path) -> tuple[int, int]:
-    if not has_size(entry):
-        return image_size(path)
     width, height = _number(where, entry, "w"), _number(where, entry, "h")
-    assert width is not None and height is not None, "has_size"
-    return int(width), int(height)
+    return (int(width), int(height)) if width and height else image_size(path)
 
 
 def _focal_lengths(where: str, entry: dict[str, Any], width: int, height: int) -> tuple[float, float]:
