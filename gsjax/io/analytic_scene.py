@@ -26,6 +26,7 @@ from tqdm import tqdm
 
 from gsjax.analytic import solids, true_surface
 from gsjax.io import ply
+from gsjax.io.colmap_writer import pinhole_camera
 from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
 from gsjax.scene.cameras import Camera, project, rotation, world_to_camera
@@ -60,20 +61,14 @@ def write(
     seed: int = 0,
     progress: Callable[..., tqdm] = tqdm,
 ) -> Path:
-    """Renders the scene into a folder, which appears when everything is done.
+    """Renders the scene into a folder, which appears when everything is done, and returns the folder.
 
     Args:
-        out: Folder to make. Must not exist, or be empty.
+        out: Folder to make. Must not exist, or be empty: else InputError.
         num_views: Photos.
         size: (width, height) in pixels.
         seed: Of cameras, samples and noise.
         progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
-
-    Returns:
-        `out`.
-
-    Raises:
-        InputError: `out` is in use or cannot be written.
     """
     with atomic_folder(out) as folder:
         _write_parts(folder, num_views, size, seed, progress)
@@ -165,12 +160,7 @@ def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: i
     colors = to_bytes(linear_to_srgb(solids.in_blocks(solids.shade_all, points)))
 
     model = pycolmap.Reconstruction()
-    K, width, height = np.asarray(cameras[0].K), cameras[0].width, cameras[0].height
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(
-            camera_id=1, model="PINHOLE", width=width, height=height, params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-        )
-    )
+    model.add_camera_with_trivial_rig(pinhole_camera(1, cameras[0]))
     tracks = [[] for _ in points]
     for index, camera in enumerate(cameras):
         observed = np.flatnonzero(visible[index])

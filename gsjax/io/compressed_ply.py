@@ -76,12 +76,9 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians, place: Place = 
 
 
 def read_compressed_ply(path: str | Path) -> Gaussians:
-    """Reads a compressed PLY, of older writers too: without bounds of colours these are between 0 and 1.
+    """Reads a compressed PLY as numpy float32 arrays; without bounds of colours these are between 0 and 1.
 
     Opacities of 0 and 255 get finite logits, a quarter of a step within 0 and 1.
-
-    Returns:
-        Gaussians of numpy float32 arrays.
     """
     path = Path(path)
     elements, header = ply_elements.read_elements(path)

@@ -55,8 +55,7 @@ def open_depth_maps(scene: str | Path, source: str, unit: str | None, frames: tu
 
     A map has its photo's name with the suffix in place of the photo's or after it. A folder `confidence` next to that
     of the maps may hold 8-bit PNGs of the same names: 0 to 255, or ARKit's levels 0, 1 and 2. Each map is read
-    once now. What part of a map its photo shows, `gsjax.io.depth_windows.window_of` decides. Maps that cannot be used
-    are left out and named (`gsjax.io.bad_items`).
+    once now. Maps that cannot be used are left out and named (`gsjax.io.bad_items`).
 
     Args:
         scene: Folder of the data set.

@@ -21,15 +21,9 @@ _COPIES = 3  # of a file, at least, while what it says becomes arrays
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary name in the folder of `path`, renamed onto `path` when the block ends without an error.
 
-    The temporary name keeps the target's suffix, so writers that choose a format by suffix work. Its bytes are on
-    the disk before the rename. The parent folder is created; after a failure nothing of the block remains, and what
-    a killed writer of `path` has left goes first. Where `path` is a link, it stays one, and the file is where it leads.
-
-    Args:
-        path: Where the whole file is to be.
-
-    Yields:
-        The name to write to. A block that does not write it raises AssertionError: a bug of the caller.
+    The temporary name keeps the target's suffix. Its bytes are on the disk before the rename. The parent folder is
+    created; after a failure nothing of the block remains, and what a killed writer of `path` has left goes first. Where
+    `path` is a link, it stays one, and the file is where it leads. A block that writes nothing is a bug of the caller.
 
     Raises:
         InputError: The disk is full, read-only, or the like, or `path` is a folder, a device or a pipe; one line with
@@ -62,14 +56,8 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
 
     After a failure nothing of the block remains; what one that was killed has left is removed by the next.
 
-    Args:
-        path: Where the whole folder is to be; absent or empty so far, or a link to such a folder.
-
-    Yields:
-        The folder to write to.
-
     Raises:
-        InputError: `path` is in use, or the disk is full, read-only, or the like.
+        InputError: `path` is neither absent nor empty, or the disk is full, read-only, or the like.
     """
     path = Path(path)
     require_empty(path)
@@ -104,10 +92,7 @@ def require_empty(path: str | Path) -> None:
 
 @contextmanager
 def workspace(path: str | Path) -> Iterator[Path]:
-    """A folder next to `path` for what is to become it, removed after the block.
-
-    What killed ones have left there is removed first.
-    """
+    """A folder next to `path` for what is to become it, removed after the block, as what killed ones have left."""
     path = behind_link(Path(path))
     make_folder(path.parent)
     sweep_beside(path)

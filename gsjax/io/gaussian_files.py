@@ -1,8 +1,8 @@
 """Files of Gaussians by suffix: 3DGS's plain PLY, PlayCanvas's compressed PLY and SOG, and SPZ; and that of a run.
 
 The compressed ones have few bits for positions and sizes. Gaussians that lie far off their origin, or are very small or
-large in their units, are stored in local coordinates (`gsjax.scene.similarity`), which a second file holds:
-`garden.spz.similarity.json`. With it the file is read as what was written; without, as the local one.
+large in their units, are stored in local coordinates (`gsjax.scene.similarity`), which a second file states:
+`garden.spz.similarity.json`.
 """
 
 from collections.abc import Callable

@@ -70,19 +70,12 @@ def add(folder: Path, manifest: dict[str, Any], name: str, file: Path, normals: 
 
 
 def find(scene: str | Path, name: str) -> str:
-    """The folder that `gsjax train --normals` means.
+    """The folder that `gsjax train --normals` means: `name` itself where it is one or none is found.
 
     Args:
         scene: Folder of the data set.
         name: A folder; or the name of one in the data set, with or without `normals_` before it; or "auto", the only
-            one there that `gsjax normals` made.
-
-    Returns:
-        What was given where that is a folder, else the absolute path of the one in the data set; what is in neither
-        place is returned as it was given.
-
-    Raises:
-        InputError: "auto", and there is none, or more than one.
+            one there that `gsjax normals` made, and InputError where there is none or more than one.
     """
     scene = Path(scene)
     if os.path.isdir(name):

@@ -27,7 +27,7 @@ _REDUCTIONS = range(1, 17)  # Whole factors by which a map may be smaller and it
 def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, Callable[[], np.ndarray]]:
     """Readers of the frames' normal maps, each brought to its frame: one map at a time is in memory.
 
-    Each map is read once now. Maps that are missing or cannot be used are left out and named
+    Each map is read once now. Maps that are missing, damaged, not finite or of another view are left out and named
     (`gsjax.io.bad_items`): their frames have a map that says nothing.
 
     A map has its frame's name with the suffix `.npy`, `.npz` (the array `cam`, or the only one) or `.png` (8 or 16
@@ -47,8 +47,7 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
         Frame name -> function that reads [H, W, 3] float32, unit length, exactly zero where the map says nothing.
 
     Raises:
-        InputError: There is no such folder, or less than half of the maps can be used. A map cannot be used where it
-            is missing, damaged, of another view than the frame, or holds values that are not finite.
+        InputError: There is no such folder, or less than half of the maps can be used.
     """
     directory = Path(directory)
     if not os.path.isdir(directory):
@@ -94,7 +93,7 @@ def _reader(file: Path, frame: Frame, undistorted: bool) -> Callable[[], np.ndar
         return partial(_read_undistorted, file, frame, origin)
     if origin is None and abs(size[0] * frame.height / (size[1] * frame.width) - 1) > _ASPECT_TOLERANCE:
         raise InputError(f"{file}: normal map is {size[0]}x{size[1]}, its frame {frame.width}x{frame.height}")
-    return partial(_read_resized, file, frame)
+    return lambda: resize_normals(_unit(_read(file)), frame.width, frame.height)
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -124,11 +123,6 @@ def _shows_photo(file: Path, size: tuple[int, int], frame: Frame, origin: Origin
             f"{origin.undistorted[0]}x{origin.undistorted[1]}; `gsjax undistort` makes a data set where both are one"
         )
     return of_photo
-
-
-def _read_resized(file: Path, frame: Frame) -> np.ndarray:
-    """A map of what the frame shows, at the frame's size."""
-    return resize_normals(_unit(_read(file)), frame.width, frame.height)
 
 
 def _read_undistorted(file: Path, frame: Frame, origin: Origin) -> np.ndarray:
