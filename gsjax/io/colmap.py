@@ -11,9 +11,10 @@ import numpy as np
 from gsjax.io.colmap_model import Model, PosedImage, read_model
 from gsjax.io.image_folders import found_files
 from gsjax.io.lenses import camera_points
+from gsjax.io.messages import print_once
 from gsjax.io.photo_names import local_names, short_name
 from gsjax.io.photos import Capture, Photo
-from gsjax.io.random_points import points_in_view, tell_of_random_points
+from gsjax.io.random_points import COUNT, points_in_view
 from gsjax.scene import Tracks
 from gsjax.scene.similarity import is_float32
 
@@ -39,7 +40,7 @@ def read_capture(root: Path, model: Path) -> Capture:
         for name, image in zip(names, read.images, strict=True)
     )
     if not len(read.points) and photos:
-        tell_of_random_points(model)
+        print_once(f"points: {model} has none; training starts from {COUNT:,} random ones where the cameras look")
         return Capture("colmap", photos, *points_in_view(np.stack([photo.viewmat for photo in photos])))
     return Capture("colmap", photos, read.points, read.point_colors, partial(read_tracks, model))
 

@@ -34,12 +34,8 @@ def network_of(folder: str | Path) -> str | None:
 def begin(folder: Path, made_by: Mapping[str, Any]) -> dict[str, Any]:
     """The manifest to continue: that of the folder where the same model made it, else a new one (not yet written).
 
-    Args:
-        folder: Exists.
-        made_by: What decides the maps: `network` (name), `sha256`, `record`, and whatever else; as JSON has it.
-
-    Returns:
-        `made_by`, and `maps`: photo's name -> its `file` and what `add` was given `about` it.
+    It holds `made_by`, what decides the maps (`network`, `sha256`, `record`); and `maps`, which has by a photo's name
+    its `file` and what `add` was given `about` it.
 
     Raises:
         InputError: Another model's maps are there, or files of another origin.

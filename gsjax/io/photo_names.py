@@ -15,16 +15,11 @@ _DRIVE = re.compile(r"[A-Za-z]:/|//")  # Of Windows, once its separators are tho
 
 
 def local_names(listed: Sequence[str], exists: Callable[[str], bool], place: object) -> list[str]:
-    """The names under which the photos that a file lists are found here, or would be.
+    """The names under which the photos that a file, `place`, lists are found here, or would be.
 
     A name that exists stays as it is. Else its backslashes separate folders; and where it is a path of another machine,
     absolute or out of its folder, its last parts name the photo: as many of them as exist, or those in which the
-    listed paths differ.
-
-    Args:
-        listed: As the file has them.
-        exists: Whether there is a photo of a name here.
-        place: The file, which a line on stderr names where last parts are taken.
+    listed paths differ. A line on stderr says so.
     """
     spelled = [name if exists(name) else name.replace("\\", "/") for name in listed]
     foreign = [name for name in spelled if _is_elsewhere(name) and not exists(name)]

@@ -44,8 +44,7 @@ def write_gaussians(
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
     Means are float, as all viewers expect, but double where float would lose their place (`loses_in_float32`).
-    A pixel filter other than the classic one is stated by a comment, as Brush and splat-transform have it; so is what
-    is known of the place that they lie in.
+    Comments state a pixel filter other than the classic one, as Brush and splat-transform have it, and the place.
     The coefficients `f_rest_*` run channel by channel. Normals are the smallest axes: unit vectors that face the
     nearest camera or, without cameras, away from the median of the means.
 
@@ -155,11 +154,7 @@ def _finite_logits(logits: np.ndarray) -> np.ndarray:
 def read_points(path: str | Path, least: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Points `[P, 3]` float64 and colours `[P, 3]` uint8 of a PLY; grey where it has no colours.
 
-    Points that are not finite are left out (`gsjax.io.bad_items`).
-
-    Raises:
-        InputError: The file is missing, no PLY, truncated, without x, y, z, or holds fewer than `least` points, or too
-            few finite ones.
+    Points that are not finite are left out (`gsjax.io.bad_items`). InputError where fewer than `least` are in it.
     """
     path = Path(path)
     vertices, _ = _read_vertices(path)
@@ -175,10 +170,7 @@ def read_points(path: str | Path, least: int = 1) -> tuple[np.ndarray, np.ndarra
 
 
 def _point_colors(vertices: np.ndarray) -> np.ndarray:
-    """`[P, 3]` uint8 colours of the rows of a PLY, of numbers of any type; grey where they have none.
-
-    Gaussians have the colours of their centres.
-    """
+    """`[P, 3]` uint8 colours of points, or of the centres of Gaussians; grey where they have none."""
     names = vertices.dtype.names or ()
     rgb = _color_names(names)
     if rgb is not None:
@@ -218,10 +210,7 @@ def _color_names(names: Sequence[str]) -> list[str] | None:
 
 
 def _colors(vertices: np.ndarray, rgb: list[str]) -> np.ndarray:
-    """`[N, 3]` float32 in 0..1 of columns of red, green and blue of any type.
-
-    Floats up to 1 are shares; all other numbers are those of a byte, or of two where they exceed 255.
-    """
+    """`[N, 3]` float32 in 0..1: floats up to 1 are shares, other numbers those of a byte, or of two beyond 255."""
     colors, kind = stack_columns(vertices, rgb), vertices.dtype[rgb[0]]
     if kind.itemsize == 1:
         return colors / np.float32(np.iinfo(kind).max)
@@ -236,10 +225,7 @@ def _read_vertices(path: Path) -> tuple[np.ndarray, str]:
 
 
 def encode_mesh(mesh: Mesh, place: Place = UNPLACED) -> bytes:
-    """Coloured triangles as a binary PLY: vertices with their colours, then faces.
-
-    Positions are double where float would lose them. A comment states what is known of the place that they lie in.
-    """
+    """Coloured triangles as a binary PLY, positions double where float would lose them; a comment states the place."""
     kind, stored = ("double", "<f8") if loses_in_float32(mesh.vertices) else ("float", "<f4")
     vertices = np.empty(mesh.num_vertices, [("position", stored, 3), ("color", "u1", 3)])
     vertices["position"], vertices["color"] = mesh.vertices, mesh.colors

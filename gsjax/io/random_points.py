@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from gsjax.io.messages import print_once
-
 COUNT = 30_000
 _SYNTHETIC_HALF_WIDTH = 1.3  # 3DGS, Blender scenes
 _SYNTHETIC_FAR = 10.0  # half widths: cameras that stand farther off look at something else
@@ -43,11 +41,6 @@ def points_in_synthetic_cube(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return points, _mid_tones(rng)
 
 
-def tell_of_random_points(place: object) -> None:
-    """Print one line: which file has no points, and what is taken instead."""
-    print_once(f"points: {place} has none; training starts from {COUNT:,} random ones where the cameras look")
-
-
 def _centers(viewmats: np.ndarray) -> np.ndarray:
     return -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3])
 
@@ -60,11 +53,7 @@ def _looked_at(viewmats: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _nearest_to_axes(centers: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """The point of least squared distance to all optical axes.
-
-    Axes that are all but parallel meet nowhere in particular; a weak pull to one spread of the cameras ahead of
-    them decides then.
-    """
+    """The point of least squared distance to all optical axes; of parallel ones, one spread of the cameras ahead."""
     spread = np.linalg.norm(centers - centers.mean(0), axis=1).max() or 1.0
     ahead = centers.mean(0) + spread * axes.mean(0)
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]

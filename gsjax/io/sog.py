@@ -126,12 +126,9 @@ def write_sog(path: str | Path, gaussians: Gaussians) -> int:
 
 
 def read_sog(path: str | Path) -> Gaussians:
-    """Reads SOG of version 2 from its archive, any degree 0-3.
+    """Reads SOG of version 2 from its archive, any degree 0-3, as numpy float32 arrays.
 
     Opacities of 0 and 255 get finite logits, a quarter of a step within 0 and 1.
-
-    Returns:
-        Gaussians of numpy float32 arrays.
     """
     path = Path(path)
     try:

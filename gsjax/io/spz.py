@@ -110,12 +110,9 @@ def spz_bytes(gaussians: Gaussians, path: str | Path) -> tuple[bytes, int]:
 
 
 def read_spz(path: str | Path) -> Gaussians:
-    """Reads SPZ of version 2, 3 or 4, any degree 0-4.
+    """Reads SPZ of version 2, 3 or 4, any degree 0-4, as numpy float32 arrays in the axes of a PLY.
 
     Opacities of 0 and 255 get finite logits, a quarter of a step within 0 and 1. Extensions are left out.
-
-    Returns:
-        Gaussians of numpy float32 arrays, in the axes of a PLY.
     """
     path = Path(path)
     data = read_bytes(path)
