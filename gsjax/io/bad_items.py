@@ -40,10 +40,7 @@ def leave_out(kind: str, faults: Sequence[Fault], total: int, *, needed: int | N
         kind: What the items are called, in the plural.
         faults: Of those that cannot be used.
         total: How many items there are, usable or not.
-        needed: How many must remain. None: half of them, and `FEWEST`.
-
-    Raises:
-        InputError: Fewer remain.
+        needed: How many must remain, or InputError is raised. None: half of them, and `FEWEST`.
     """
     require_enough(kind, faults, total, needed=needed)
     if faults:

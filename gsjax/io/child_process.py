@@ -30,8 +30,7 @@ def run_in_child(function: Callable, *arguments: Any, name: str, progress: Calla
     Of what the process prints, only messages are shown (`gsjax.io.messages`).
 
     Args:
-        function: Of a module that can be imported. Its last argument makes progress bars, as `progress` does, one
-            open at a time.
+        function: Of a module that can be imported. It opens one progress bar at a time.
         arguments: Anything that can be pickled, as must be the result.
         name: What the error of a crash begins with.
         progress: Makes the bars that are shown here, called with tqdm's `total`, `desc` and `unit`.

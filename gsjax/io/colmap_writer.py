@@ -33,7 +33,7 @@ def write_model(
     Args:
         folder: Made where absent.
         frames: Their names become those of the images.
-        points: `[P, 3]` world; without observations.
+        points: `[P, 3]`, as the frames have them; without observations.
         colors: `[P, 3]` uint8.
         similarity: To the coordinates of frames and points from those of the model.
     """
@@ -62,15 +62,7 @@ def pinhole_camera(number: int, view: "Frame | Camera") -> "pycolmap.Camera":
 
 
 def write_whole(model: "pycolmap.Reconstruction", folder: Path) -> None:
-    """Writes a model in binary, and reads it again: pycolmap 4.2 does not report a full disk.
-
-    Args:
-        model: The reconstruction to write.
-        folder: Made where absent.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Writes a model in binary and reads it again: pycolmap 4.2 does not report a full disk, which is an InputError."""
     pycolmap = require("pycolmap")
     make_folder(folder)
     try:

@@ -107,15 +107,10 @@ def _encoded(image: np.ndarray, form: str, **options: Any) -> bytes:
 
 
 def decode_rgba(where: str, content: bytes, *, most: int) -> np.ndarray:
-    """`[H, W, 4]` uint8 pixels of a WebP or PNG in memory.
-
-    Args:
-        where: What to call it in messages.
-        content: Its bytes.
-        most: Pixels; an image of more is not decoded.
+    """`[H, W, 4]` uint8 pixels of a WebP or PNG in memory, which `where` names in messages.
 
     Raises:
-        InputError: It is no such image, is damaged, or has more pixels.
+        InputError: It is no such image, is damaged, or has more than `most` pixels.
     """
     try:
         with warnings.catch_warnings():

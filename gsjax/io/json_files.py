@@ -24,12 +24,8 @@ def write(path: str | Path, data: Any) -> None:
 def read(path: str | Path, shape: Shape = object) -> Any:
     """What a JSON file holds; a byte order mark before it is no fault.
 
-    Args:
-        path: The file.
-        shape: What it must look like, see `gsjax.io.json_shapes`.
-
     Raises:
-        InputError: The file is absent, is no JSON, is nested too deeply, or has not the shape.
+        InputError: The file is absent, is no JSON, is nested too deeply, or has not the shape (`json_shapes.Shape`).
     """
     try:
         return parse(path, read_bytes(path).decode("utf-8-sig"), shape)

@@ -66,7 +66,7 @@ def add(folder: Path, manifest: dict[str, Any], name: str, file: Path, normals: 
 
 
 def find(scene: str | Path, name: str) -> str:
-    """The folder that `gsjax train --normals` means: `name` itself where it is one or none is found.
+    """The folder that `gsjax train --normals` means; `name` itself where it is one, or none is found.
 
     Args:
         scene: Folder of the data set.

@@ -39,10 +39,6 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
     (`gsjax.io.images.same_shape`) and not of the other's. Where both have one size, the map is the photo's. Maps that
     `gsjax normals` made are always of the undistorted frame (`gsjax.io.normal_folders`).
 
-    Args:
-        directory: Folder of the maps.
-        frames: The frames that need one each.
-
     Returns:
         Frame name -> function that reads [H, W, 3] float32, unit length, exactly zero where the map says nothing.
 

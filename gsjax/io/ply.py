@@ -46,13 +46,7 @@ def write_gaussians(
     Means are float, as all viewers expect, but double where float would lose their place (`loses_in_float32`).
     Comments state a pixel filter other than the classic one, as Brush and splat-transform have it, and the place.
     The coefficients `f_rest_*` run channel by channel. Normals are the smallest axes: unit vectors that face the
-    nearest camera or, without cameras, away from the median of the means.
-
-    Args:
-        path: Where.
-        gaussians: What to write.
-        place: What is known of the place that they lie in.
-        cameras: `[C, 3]` centres of cameras, in the coordinates of the means.
+    nearest of the `cameras` (`[C, 3]` centres) or, without cameras, away from the median of the means.
     """
     rest = rest_columns(gaussians.sh_rest)
     count, width = rest.shape

@@ -20,9 +20,6 @@ def codebook(values: np.ndarray) -> np.ndarray:
 
     The range with the largest squared error about its mean is split at that mean until there are 256 (the median cut
     of Heckbert 1982, in one dimension). A far value costs one entry, however far it lies.
-
-    Args:
-        values: Any shape, finite.
     """
     ordered = np.sort(np.asarray(values, np.float64), axis=None)
     if not len(ordered):
@@ -45,11 +42,7 @@ def nearest_labels(values: np.ndarray, entries: np.ndarray) -> np.ndarray:
 
 
 def palette(rows: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most so many rows that stand for all of them, by k-means in two levels.
-
-    Args:
-        rows: `[N, D]` float32, finite.
-        most: The very rows are taken where they are no more.
+    """At most so many rows that stand for all `[N, D]` float32, by k-means in two levels; all where they are no more.
 
     Returns:
         `[M, D]` float32, and `[N]` int64, which of them stands for each.

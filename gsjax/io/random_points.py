@@ -9,16 +9,10 @@ _SEED = 0
 
 
 def points_in_view(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Random points in a cube around the place nearest to all optical axes.
+    """Random points `[P, 3]` float64 around the place nearest to all optical axes, and colours uint8 of middle tones.
 
-    The cube is as large as the median distance of the cameras from that place; no point is nearer to a camera than a
-    quarter of it.
-
-    Args:
-        viewmats: `[V, 4, 4]` float64 world to camera, OpenCV axes.
-
-    Returns:
-        `[P, 3]` float64 world and `[P, 3]` uint8 of middle tones.
+    Their cube is as large as the median distance of the cameras `[V, 4, 4]` from that place; no point is nearer to a
+    camera than a quarter of it.
     """
     rng = np.random.default_rng(_SEED)
     centers, (focus, reach) = _centers(viewmats), _looked_at(viewmats)

@@ -41,17 +41,14 @@ def load_scene(
 
     A COLMAP model is searched in `sparse/0` (or a larger one in `sparse/1` and so on), `sparse`, `colmap/sparse/0`
     and the folder itself; its photos in `images/` or next to it, or in reduced copies (`gsjax.io.image_folders`).
-    Photos of another size than their camera says rescale its intrinsics where the shape fits
-    (`gsjax.io.images.same_shape`). Lens distortion is removed (`gsjax.io.lenses`). Masks come from a folder `masks/` (a
-    mask has the photo's name, that name with `.png` after it, or its stem with `.png`), from `mask_path` in
-    `transforms.json`, or from the photos' alpha channel, which always becomes the matte. Truth in the folder is listed
-    too (`gsjax.io.truth`).
+    Photos of another size than their camera says rescale its intrinsics where the shape fits. Lens distortion is
+    removed. Masks come from a folder `masks/` (`gsjax.io.image_folders.masks_in`), from `mask_path` in
+    `transforms.json`, or from the photos' alpha channel, which always becomes the matte. Truth is listed too.
 
     Args:
         root: Folder of the data set.
         downscale: Images, masks, truth and intrinsics are this many times smaller, at least 1.
-        folder_masks: What masks from files mean: "valid", pixels that are 0 are ignored; "matte", the object's
-            coverage.
+        folder_masks: What masks from files mean: "valid", 0 is ignored; "matte", the object's coverage.
         images: Folder of the photos, absolute or in `root`; None: they are searched.
         hold_out: Which photos are for scoring only, see `gsjax.io.splits.mark_held_out`.
         photos: Text file of the names of those that are taken, one a line, as `hold_out` may be one; None: all. Which

@@ -1,7 +1,7 @@
 """SPZ, Niantic's compressed Gaussians (https://github.com/nianticlabs/spz): written as version 3, read as 2, 3 and 4.
 
 Version 3 is what the viewers of today read: those built on three.js know no later one. A header of 16 bytes and the
-arrays of `_LAYOUT`, one after another, are compressed as a whole by gzip; version 4 has a header of 32 bytes and
+arrays of `_Header.layout`, one after another, are compressed as a whole by gzip; version 4 has a header of 32 bytes and
 compresses each array by zstandard. The axes are x right, y up, z back, half a turn about x from those of a PLY.
 """
 
@@ -54,7 +54,7 @@ class _Header(NamedTuple):
 def write_spz(path: str | Path, gaussians: Gaussians) -> int:
     """Writes Gaussians as SPZ version 3. Positions get as many fractional bits as the farthest leaves, 23 at most.
 
-    The farthest of the mass: the few that lie so far out that no other had its precision come in (`pull_in_outliers`).
+    The few that lie so far out that no other had its precision come in first (`pull_in_outliers`).
 
     The steps: logs of scales 1/16, from -10 to 95/16; opacities 1/255; degree 0 0.0261, from -3.33 to 3.33; degree 1
     1/16, higher ones 1/8, from -1 to 127/128; quaternions 0.0014. The mip filter is the format's flag for antialiasing.

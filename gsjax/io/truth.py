@@ -33,8 +33,7 @@ def load_truth(
         place: From the coordinates of the files to those of the world.
 
     Raises:
-        InputError: A file is damaged, lacks an array, or does not fit its frame; names the file. Reading a map raises
-            it where what follows the header is damaged.
+        InputError: A file is damaged, lacks an array, or does not fit its frame; also when a map is read.
     """
     root = Path(root)
     depths, normals, labels = {}, {}, {}

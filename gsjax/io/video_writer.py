@@ -26,14 +26,9 @@ def is_video(path: str | Path) -> bool:
 
 
 def write_video(path: str | Path, pictures: Iterable[np.ndarray], fps: float, width: int, height: int) -> None:
-    """Write a video, whole or not at all.
+    """Write pictures `[height, width, 3]` uint8, of even sides, as a video, whole or not at all.
 
-    Args:
-        path: Its suffix is one of `SUFFIXES`. A GIF repeats for ever.
-        pictures: `[height, width, 3]` uint8 each.
-        fps: Pictures a second. Those of a GIF are shown for hundredths of a second, 0.02 at least.
-        width: Pixels, even.
-        height: Pixels, even.
+    A GIF repeats for ever, and shows each picture for hundredths of a second, 0.02 at least.
 
     Raises:
         InputError: The codec is not in this OpenCV, or the file cannot be written.
