@@ -9,7 +9,6 @@ from pathlib import Path
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.json_files import plain
 from gsjax.scene.georeference import UNPLACED, Place, parse_place
 
 FILE = "place.json"
@@ -34,7 +33,7 @@ def read_place(folder: Path) -> Place:
 
 def place_comments(place: Place) -> list[str]:
     """The lines of a PLY's header that state a place: one, or none where nothing is known."""
-    return [_COMMENT + json.dumps(plain(place.statement()))] if place.is_known else []
+    return [_COMMENT + json.dumps(json_files.plain(place.statement()))] if place.is_known else []
 
 
 def state_beside(path: Path, place: Place) -> None:

@@ -5,6 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from gsjax.scene import Scene
 from gsjax.scene import similarity as similarities
 from gsjax.scene.georeference import Place
 from gsjax.scene.similarity import Similarity
+
+_name = attrgetter("name")
 
 
 def load_scene(
@@ -130,7 +133,11 @@ def _without_repeated(photos: Sequence[Photo]) -> list[Photo]:
     """The photos, sorted by name; of those that are listed repeatedly the first, or none where cameras differ."""
     by_name = {name: list(same) for name, same in groupby(photos, key=_name)}
     repeated = {name: same for name, same in by_name.items() if len(same) > 1}
-    differ = {name for name, (first, *more) in repeated.items() if not all(_is_same(first, other) for other in more)}
+    differ = {
+        name
+        for name, (first, *more) in repeated.items()
+        if not all(first.lens == other.lens and np.array_equal(first.viewmat, other.viewmat) for other in more)
+    }
     messages = {name: f"{same[0].path}: is listed more than once" for name, same in repeated.items()}
     alike = [Fault(name, messages[name]) for name, same in repeated.items() if name not in differ for _ in same[1:]]
     leave_out("listed photos", alike, len(photos), needed=0)
@@ -138,14 +145,6 @@ def _without_repeated(photos: Sequence[Photo]) -> list[Photo]:
         "photos", [Fault(name, f"{messages[name]}, with several cameras") for name in sorted(differ)], len(by_name)
     )
     return [same[0] for name, same in by_name.items() if name not in differ]
-
-
-def _is_same(photo: Photo, other: Photo) -> bool:
-    return photo.lens == other.lens and np.array_equal(photo.viewmat, other.viewmat)
-
-
-def _name(photo: Photo) -> str:
-    return photo.name
 
 
 def _selected(photos: list[Photo], file: str | None) -> list[Photo]:
