@@ -1,7 +1,4 @@
-"""A function in a process of its own, with its progress shown here: what crashes there is one line here.
-
-Native libraries abort their process when something is wrong inside them.
-"""
+"""A function in a process of its own, with its progress shown here: a crash of a native library is one line here."""
 
 import os
 import pickle

@@ -20,10 +20,9 @@ CHANGING = {  # What columns mean without which the others are no Gaussians as t
 
 
 def filter_column(path: Path, names: Iterable[str]) -> str | None:
-    """The column of 3D filters that a file has, if any; a line names those that are not read.
+    """The column of 3D filters that a file has, if any; a line names columns that are not read.
 
-    Raises:
-        InputError: Columns change what the others mean.
+    InputError names columns that change what the others mean.
     """
     foreign = [name for name in names if not KNOWN.fullmatch(name)]
     for what, pattern in CHANGING.items():

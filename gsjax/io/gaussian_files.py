@@ -96,11 +96,7 @@ FORMATS = {
 
 
 def format_of(path: str | Path) -> Format:
-    """The format of a file's suffix, in capitals or not; the longest that fits.
-
-    Raises:
-        InputError: The suffix is none of `FORMATS`.
-    """
+    """The format of a file's suffix, in capitals or not; the longest that fits, or InputError where none does."""
     for suffix, form in FORMATS.items():
         if Path(path).name.lower().endswith(suffix):
             return form

@@ -141,11 +141,7 @@ def upright_size(path: Path) -> tuple[int, int]:
 
 @contextmanager
 def open_image(path: str | Path) -> Iterator[Any]:
-    """The file as Pillow opens it, of which only the header is read; for as long as the block lasts.
-
-    Raises:
-        InputError: The file is missing or no image.
-    """
+    """The file as Pillow opens it, of which only the header is read; InputError where it is missing or no image."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Of metadata that nobody asked for.
         with decoding(path):

@@ -152,7 +152,8 @@ def check_cache() -> Finding:
 
 def likely_device() -> str:
     """What jax will compute on, judged without loading it: a GPU's name, "an NVIDIA GPU" or "the CPU"."""
-    if os.environ.get("JAX_PLATFORMS") == "cpu" or not _has_cuda():
+    has_cuda = any(map(importlib.util.find_spec, ("jax_cuda13_plugin", "jax_cuda12_plugin")))
+    if os.environ.get("JAX_PLATFORMS") == "cpu" or not has_cuda:
         return "the CPU"
     return gpu_name() or "the CPU"
 
@@ -175,16 +176,6 @@ def version_line() -> str:
     except metadata.PackageNotFoundError:
         jax = "is missing"
     return f"gsjax {version()}, jax {jax}, {on_cpu if device == 'the CPU' else 'pallas'} rasterizer on {device}"
-
-
-def _has_cuda() -> bool:
-    for plugin in ("jax-cuda13-plugin", "jax-cuda12-plugin"):
-        try:
-            metadata.version(plugin)
-        except metadata.PackageNotFoundError:
-            continue
-        return True
-    return False
 
 
 def _project() -> dict | None:

@@ -100,10 +100,7 @@ def require_memory(what: str, size: float) -> None:
 
 @contextmanager
 def memory_for(what: str, size: float) -> Iterator[None]:
-    """As `require_memory`, for the block: other threads that ask meanwhile wait until there is room for theirs as well.
-
-    What a block has taken already counts twice then: rather too few of them run together.
-    """
+    """As `require_memory`, for the block: other threads that ask meanwhile wait until there is room for theirs too."""
     with _ASKING:
         _ASKING.wait_for(lambda: not _PROMISED or size <= free_memory() - sum(_PROMISED))
         require_memory(what, size)

@@ -23,10 +23,7 @@ def points_in_view(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def points_in_synthetic_cube(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Random points in [-1.3, 1.3]^3, as in 3DGS; where cameras do not stand around that cube, those in their view.
-
-    Arguments and what is returned are those of `points_in_view`.
-    """
+    """As `points_in_view`, but in [-1.3, 1.3]^3, as in 3DGS, where cameras stand around that cube."""
     focus, reach = _looked_at(viewmats)
     if np.abs(focus).max() > _SYNTHETIC_HALF_WIDTH or not 1 < reach / _SYNTHETIC_HALF_WIDTH < _SYNTHETIC_FAR:
         return points_in_view(viewmats)

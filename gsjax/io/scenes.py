@@ -179,10 +179,7 @@ def _with_folder_masks(photos: list[Photo], folder: Path) -> list[Photo]:
 
 
 def with_image_circles(photos: Sequence[Photo]) -> list[Photo]:
-    """The photos, of those of circular fisheyes with lenses that know how far their picture goes.
-
-    A few photos of each such lens are read.
-    """
+    """The photos, those of circular fisheyes with lenses that know how far their picture goes: a few are read."""
     circular = {lens for lens in {photo.lens for photo in photos} if is_circular(lens)}
     measured_lenses = {lens: replace(lens, reach=_reach(lens, photos)) for lens in circular}
     return [replace(photo, lens=measured_lenses.get(photo.lens, photo.lens)) for photo in photos]

@@ -83,10 +83,7 @@ def lens_of(file: Path, entry: dict[str, Any], path: Path) -> Lens:
 
 
 def depth_of(entry: dict[str, Any], path: Path | None) -> DepthFile | None:
-    """The depth map of a frame, in millimetres or as `depth_unit_scale_factor` says (nerfstudio); None of no path.
-
-    The factor is checked where the map is used: `metres` is NaN of what is no number.
-    """
+    """The depth map of a frame, in millimetres or as `depth_unit_scale_factor` says (nerfstudio); NaN of no number."""
     if path is None:
         return None
     factor = entry.get(_DEPTH_UNIT)
