@@ -31,9 +31,9 @@ def read_cameras(file: Path) -> dict[int, Lens]:
     return by_id(file, _records(file, _camera_at))
 
 
-def read_images(file: Path) -> list[ImageRecord]:
+def read_images(file: Path) -> Iterator[ImageRecord]:
     """The images in the file's order."""
-    return list(_records(file, _image_at))
+    return _records(file, _image_at)
 
 
 def read_points(file: Path) -> np.ndarray:

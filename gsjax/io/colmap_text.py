@@ -20,17 +20,12 @@ _NO_KEYPOINTS = np.empty(0, KEYPOINT)
 
 def count_images(file: Path) -> int:
     """How many images `images.txt` lists."""
-    return sum(1 for _ in _images(file))
+    return sum(1 for _ in read_images(file))
 
 
 def read_cameras(file: Path) -> dict[int, Lens]:
     """The cameras by their ids; their numbers are not checked."""
     return by_id(file, (_camera(file, number, line) for number, line in _lines(file) if line))
-
-
-def read_images(file: Path) -> list[ImageRecord]:
-    """The images in the file's order."""
-    return list(_images(file))
 
 
 def read_points(file: Path) -> np.ndarray:
@@ -60,8 +55,8 @@ def _camera(file: Path, number: int, line: str) -> tuple[int, Lens]:
     return camera, Lens(model, width, height, tuple(params))
 
 
-def _images(file: Path) -> Iterator[ImageRecord]:
-    """A line of keypoints may follow an image, and may be blank."""
+def read_images(file: Path) -> Iterator[ImageRecord]:
+    """The images in the file's order. A line of keypoints may follow an image, and may be blank."""
     image = None
     for number, line in _lines(file):
         keypoints = None if image is None else _keypoints(line)
