@@ -1,15 +1,8 @@
 """The analytic scene as a data set: photos, exact depth and normals, a COLMAP model, surface samples and a mesh.
 
-The layout is that of any rendered data set with truth (`gsjax.io.truth` reads it):
-
-    images/NNN.png     sRGB, white background
-    depth/NNN.npz      depth [H, W] float32 camera z at the pixel centre, 0 where nothing;
-                       label [H, W] uint8: 0 sky, 1..5 the solids, 255 the table
-    normals/NNN.npz    cam, world [H, W, 3] float16 unit, 0 where nothing
-    sparse/0           COLMAP binary: one PINHOLE camera, true poses, noisy surface points with tracks
-    gt_points.npz      points, normals [P, 3] world, label [P] (0 solid, 1 table), n_train_views [P]
-    gt_mesh.ply        the surface, vertex colours = albedo
-    scene.json         the numbers
+Truth has the layout of `gsjax.io.truth`, with labels 1 to 5 of the solids, and albedo as the mesh's colours. Photos are
+sRGB before white. `sparse/0` is binary: one PINHOLE camera, true poses, noisy surface points with tracks. `scene.json`
+holds the numbers.
 """
 
 import json

@@ -4,16 +4,15 @@ Two files show the same shot where small grey pictures of them are equal but for
 colour space change. Each group is compared with its first photo only, or a slow video would become one group.
 """
 
-import os
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from gsjax.errors import InputError
 from gsjax.io.color_profiles import in_srgb
 from gsjax.io.exif import orientation_of
+from gsjax.io.files import stamp
 from gsjax.io.images import Image, decoding, open_image, read_image
 from gsjax.io.machine import memory_for
 from gsjax.io.parallel_map import parallel_map
@@ -56,14 +55,13 @@ def group_duplicates(files: Sequence[Path]) -> list[list[int]]:
 def _small_picture(file: Path) -> np.ndarray | None:
     """`[SIDE * SIDE]` float32 grey levels less their mean, upright; None of a file that cannot be read."""
     try:
-        status = os.stat(file)
-        return _decoded(file, status.st_mtime_ns, status.st_size)
-    except (InputError, OSError, ValueError):  # ValueError: of a name that no disk holds.
+        return _decoded(file, stamp(file))
+    except (OSError, ValueError):
         return None
 
 
 @cache
-def _decoded(file: Path, _changed: int, _size: int) -> np.ndarray:
+def _decoded(file: Path, _stamp: tuple[int, int]) -> np.ndarray:
     """As `_small_picture`, once for each state of a file: commands load a data set several times."""
     with open_image(file) as picture:
         picture.draft("RGB", (_DRAFT, _DRAFT))

@@ -83,6 +83,15 @@ def read_bytes(path: str | Path) -> bytes:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
+def stamp(path: Path) -> tuple[int, int]:
+    """When a file was written, nanoseconds, and its bytes; zeros where it is absent."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):  # ValueError: of a name that no disk holds.
+        return 0, 0
+    return status.st_mtime_ns, status.st_size
+
+
 def require_empty(path: str | Path) -> None:
     """Raises InputError unless a folder of this name can be made, or is there without anything in it."""
     path = Path(path)
