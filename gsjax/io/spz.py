@@ -184,7 +184,7 @@ def _read_gzip(path: Path, data: bytes) -> tuple[_Header, list[bytes], bytes]:
             ends = list(accumulate((header.count * width for width in header.layout()), initial=0))
             if ends[-1] > _MOST_RATIO * len(data):
                 raise InputError(f"{path}: truncated, {header.count} Gaussians need {ends[-1]} bytes unpacked")
-            _require_room(path, header)
+            require_memory(f"{path}: {header.count} Gaussians", _BYTES_PER_BYTE * ends[-1])
             body = unpacking.read(ends[-1] + _MOST_EXTENSIONS + 1)  # No more, however much there is.
     except (EOFError, OSError, zlib.error) as error:
         raise InputError(f"{path}: truncated or damaged ({error})") from error
@@ -207,7 +207,7 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Header, list[bytes], byte
     if table < start or len(data) < place:
         raise InputError(f"{path}: truncated or damaged, it ends within the table of its arrays")
     zstandard = require("zstandard")
-    _require_room(path, header)
+    require_memory(f"{path}: {header.count} Gaussians", _BYTES_PER_BYTE * sum(sizes))
     unpacked = []
     for index, size in enumerate(filled):
         packed, promised = struct.unpack_from("<QQ", data, table + 16 * index)
@@ -223,11 +223,6 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Header, list[bytes], byte
         place += packed
     arrays = iter(unpacked)
     return header, [next(arrays) if size else b"" for size in sizes], data[start:table]
-
-
-def _require_room(path: Path, header: _Header) -> None:
-    """InputError where the Gaussians that a header promises have no room in this machine's memory."""
-    require_memory(f"{path}: {header.count} Gaussians", _BYTES_PER_BYTE * header.count * sum(header.layout()))
 
 
 def _extension_types(records: bytes) -> set[int]:

@@ -3,16 +3,13 @@
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
-from gsjax.io.packages import Deferred
-
-cv2: Any = Deferred("cv2")
+from gsjax.io.images import cv2
 
 CODECS = {".mp4": "vp09", ".webm": "VP90"}
 """VP9 in both: the wheels of OpenCV have no H.264, whose encoder is under the GPL."""
