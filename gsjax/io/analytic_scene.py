@@ -1,15 +1,8 @@
 """The analytic scene as a data set: photos, exact depth and normals, a COLMAP model, surface samples and a mesh.
 
-The layout is that of any rendered data set with truth (`gsjax.io.truth` reads it):
-
-    images/NNN.png     sRGB, white background
-    depth/NNN.npz      depth [H, W] float32 camera z at the pixel centre, 0 where nothing;
-                       label [H, W] uint8: 0 sky, 1..5 the solids, 255 the table
-    normals/NNN.npz    cam, world [H, W, 3] float16 unit, 0 where nothing
-    sparse/0           COLMAP binary: one PINHOLE camera, true poses, noisy surface points with tracks
-    gt_points.npz      points, normals [P, 3] world, label [P] (0 solid, 1 table), n_train_views [P]
-    gt_mesh.ply        the surface, vertex colours = albedo
-    scene.json         the numbers
+Truth has the layout of `gsjax.io.truth`, with labels 1 to 5 of the solids, and albedo as the mesh's colours. Photos are
+sRGB before white. `sparse/0` is binary: one PINHOLE camera, true poses, noisy surface points with tracks. `scene.json`
+holds the numbers.
 """
 
 import json
@@ -26,6 +19,7 @@ from tqdm import tqdm
 
 from gsjax.analytic import solids, true_surface
 from gsjax.io import ply
+from gsjax.io.colmap_writer import pinhole_camera
 from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
 from gsjax.scene.cameras import Camera, project, rotation, world_to_camera
@@ -60,20 +54,14 @@ def write(
     seed: int = 0,
     progress: Callable[..., tqdm] = tqdm,
 ) -> Path:
-    """Renders the scene into a folder, which appears when everything is done.
+    """Renders the scene into a folder, which appears when everything is done, and returns the folder.
 
     Args:
-        out: Folder to make. Must not exist, or be empty.
+        out: Folder to make. Must not exist, or be empty: else InputError.
         num_views: Photos.
         size: (width, height) in pixels.
         seed: Of cameras, samples and noise.
         progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
-
-    Returns:
-        `out`.
-
-    Raises:
-        InputError: `out` is in use or cannot be written.
     """
     with atomic_folder(out) as folder:
         _write_parts(folder, num_views, size, seed, progress)
@@ -165,12 +153,7 @@ def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: i
     colors = to_bytes(linear_to_srgb(solids.in_blocks(solids.shade_all, points)))
 
     model = pycolmap.Reconstruction()
-    K, width, height = np.asarray(cameras[0].K), cameras[0].width, cameras[0].height
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera(
-            camera_id=1, model="PINHOLE", width=width, height=height, params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-        )
-    )
+    model.add_camera_with_trivial_rig(pinhole_camera(1, cameras[0]))
     tracks = [[] for _ in points]
     for index, camera in enumerate(cameras):
         observed = np.flatnonzero(visible[index])

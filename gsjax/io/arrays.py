@@ -45,11 +45,7 @@ def headers(file: Path, *keys: str) -> dict[str, Header]:
 
 
 def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:
-    """The named arrays of an `.npz` (all of them where none is named), or that of an `.npy` under the key "".
-
-    Raises:
-        InputError: The file is damaged or lacks one; names the file.
-    """
+    """The arrays that `headers` describes; raises as it does, and where they have no room in memory."""
     for key, (shape, dtype) in headers(file, *keys).items():
         size = math.prod(shape) * dtype.itemsize
         if size > _ALWAYS_ROOM:

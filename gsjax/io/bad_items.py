@@ -40,40 +40,29 @@ def leave_out(kind: str, faults: Sequence[Fault], total: int, *, needed: int | N
         kind: What the items are called, in the plural.
         faults: Of those that cannot be used.
         total: How many items there are, usable or not.
-        needed: How many must remain. None: half of them, and `FEWEST`.
-
-    Raises:
-        InputError: Fewer remain.
+        needed: How many must remain, or InputError is raised. None: half of them, and `FEWEST`.
     """
     require_enough(kind, faults, total, needed=needed)
     if faults:
-        _report(faults[0].reason, kind, len(faults), total, _names(faults))
+        are = "is" if len(faults) == 1 else "are"
+        print_once(one_line(f"{faults[0].reason}; {len(faults)} of {total} {kind} {are} left out{_names(faults)}"))
 
 
 def require_enough(kind: str, faults: Sequence[Fault], total: int, *, needed: int | None = None) -> None:
     """As `leave_out`, and prints nothing: for items that a report names."""
-    if faults:
-        _require(faults[0].reason, kind, len(faults), total, needed, _names(faults))
+    needed = max(FEWEST, (total + 1) // 2) if needed is None else needed
+    if faults and total - len(faults) < needed:
+        message = f"{faults[0].reason}; {len(faults)} of {total} {kind} cannot be used, and {needed} are needed"
+        raise InputError(f"{message}{_names(faults)}")
 
 
 def leave_out_rows(where: object, kind: str, usable: np.ndarray) -> None:
     """As `leave_out`, of rows that hold values which are not finite: those where `usable` `[N]` is False."""
-    bad, reason = int((~usable).sum()), f"{where}: holds values that are not finite"
-    if bad:
-        _require(reason, kind, bad, len(usable), None, "")
-        _report(reason, kind, bad, len(usable), "")
-
-
-def _require(reason: str, kind: str, bad: int, total: int, needed: int | None, names: str) -> None:
-    needed = max(FEWEST, (total + 1) // 2) if needed is None else needed
-    if total - bad < needed:
-        raise InputError(f"{reason}; {bad} of {total} {kind} cannot be used, and {needed} are needed{names}")
-
-
-def _report(reason: str, kind: str, bad: int, total: int, names: str) -> None:
-    print_once(one_line(f"{reason}; {bad} of {total} {kind} {'is' if bad == 1 else 'are'} left out{names}"))
+    fault = Fault("", f"{where}: holds values that are not finite")
+    leave_out(kind, [fault] * int((~usable).sum()), len(usable))
 
 
 def _names(faults: Sequence[Fault]) -> str:
-    """The end of a line; of one item nothing, as its reason names it."""
-    return f": {first_names([fault.name for fault in faults])}" if len(faults) > 1 else ""
+    """The end of a line; of one item nothing, as its reason names it, and of rows, which have no names."""
+    names = [fault.name for fault in faults if fault.name]
+    return f": {first_names(names)}" if len(names) > 1 else ""

@@ -1,8 +1,4 @@
-"""A function in a process of its own, with its progress shown here: what crashes there is one line here.
-
-Native libraries abort their process when something is wrong inside them. Started apart, they cannot take the caller
-with them, and one that is no longer wanted is simply ended.
-"""
+"""A function in a process of its own, with its progress shown here: a crash of a native library is one line here."""
 
 import os
 import pickle
@@ -26,14 +22,12 @@ _LAST_WORDS = re.compile(rb"(?:what\(\):|^F\d{4,8} .*?\])\s*(\S.*)", re.MULTILIN
 
 
 def run_in_child(function: Callable, *arguments: Any, name: str, progress: Callable[..., tqdm] = tqdm) -> Any:
-    """Calls `function(*arguments, progress)` in a new process and returns what it returns.
+    """Calls `function(*arguments, progress)` in a new process, which ends with this call, and returns what it returns.
 
-    The process ends with this call, however the call ends; of what it prints, only messages are shown
-    (`gsjax.io.messages`).
+    Of what the process prints, only messages are shown (`gsjax.io.messages`).
 
     Args:
-        function: Of a module that can be imported. Its last argument makes progress bars, as `progress` does, one
-            open at a time.
+        function: Of a module that can be imported. It opens one progress bar at a time.
         arguments: Anything that can be pickled, as must be the result.
         name: What the error of a crash begins with.
         progress: Makes the bars that are shown here, called with tqdm's `total`, `desc` and `unit`.

@@ -11,9 +11,10 @@ import numpy as np
 from gsjax.io.colmap_model import Model, PosedImage, read_model
 from gsjax.io.image_folders import found_files
 from gsjax.io.lenses import camera_points
+from gsjax.io.messages import print_once
 from gsjax.io.photo_names import local_names, short_name
 from gsjax.io.photos import Capture, Photo
-from gsjax.io.random_points import points_in_view, tell_of_random_points
+from gsjax.io.random_points import COUNT, points_in_view
 from gsjax.scene import Tracks
 from gsjax.scene.similarity import is_float32
 
@@ -39,7 +40,7 @@ def read_capture(root: Path, model: Path) -> Capture:
         for name, image in zip(names, read.images, strict=True)
     )
     if not len(read.points) and photos:
-        tell_of_random_points(model)
+        print_once(f"points: {model} has none; training starts from {COUNT:,} random ones where the cameras look")
         return Capture("colmap", photos, *points_in_view(np.stack([photo.viewmat for photo in photos])))
     return Capture("colmap", photos, read.points, read.point_colors, partial(read_tracks, model))
 
@@ -47,10 +48,7 @@ def read_capture(root: Path, model: Path) -> Capture:
 def read_tracks(model: Path) -> Tracks:
     """The observations of a COLMAP model, photos sorted by name, points in the order of `read_capture`.
 
-    Keypoints whose lens model gives no ray are left out, and those of points that the model does not have.
-
-    Raises:
-        InputError: As `read_capture`.
+    Keypoints without a point in the model are left out, and those for which the lens has no ray.
     """
     read = read_model(model)
     parts = [_observations(read, image) for image in read.images]
@@ -66,15 +64,13 @@ def read_tracks(model: Path) -> Tracks:
 def _observations(model: Model, image: PosedImage) -> tuple[np.ndarray, np.ndarray]:
     """`[O]` rows of the points that a photo saw, and `[O, 2]` rays to them."""
     point_ids, pixels = image.keypoints["point"], np.ascontiguousarray(image.keypoints["xy"])
-    if not len(point_ids) or not len(model.points):
-        return np.empty(0, np.int32), np.empty((0, 2), np.float32)
-    rows = np.minimum(np.searchsorted(model.point_ids, point_ids), len(model.points) - 1)
-    has_point = (model.point_ids[rows] == point_ids) & is_float32(pixels).all(axis=1)
+    has_point = np.isin(point_ids, model.point_ids) & is_float32(pixels).all(axis=1)
     if not has_point.any():
         return np.empty(0, np.int32), np.empty((0, 2), np.float32)
+    rows = np.searchsorted(model.point_ids, point_ids[has_point])
     rays = camera_points(model.cameras[image.camera], pixels[has_point])
     usable = is_float32(rays).all(axis=1)
-    return rows[has_point][usable].astype(np.int32), rays[usable].astype(np.float32)
+    return rows[usable].astype(np.int32), rays[usable].astype(np.float32)
 
 
 def _image_places(root: Path, model: Path) -> list[Path]:

@@ -1,7 +1,4 @@
-"""Binary files of a COLMAP model: a count, then that many records (https://colmap.github.io/format.html).
-
-Whatever the bytes say, a reader ends: at the last record that is promised, or at the end of the file, with an error.
-"""
+"""Binary files of a COLMAP model: a count, then that many records (https://colmap.github.io/format.html)."""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -30,45 +27,25 @@ def count_images(file: Path) -> int:
 
 
 def read_cameras(file: Path) -> dict[int, Lens]:
-    """The cameras by their ids; their numbers are not checked.
-
-    Raises:
-        InputError: The file is truncated, has a model that COLMAP does not know, or two cameras of one id.
-    """
+    """The cameras by their ids; their numbers are not checked."""
     return by_id(file, _records(file, _camera_at))
 
 
-def read_images(file: Path) -> list[ImageRecord]:
-    """The images in the file's order.
-
-    Raises:
-        InputError: The file is truncated.
-    """
-    return list(_records(file, _image_at))
+def read_images(file: Path) -> Iterator[ImageRecord]:
+    """The images in the file's order."""
+    return _records(file, _image_at)
 
 
 def read_points(file: Path) -> np.ndarray:
-    """`[P]` structured array of `id`, `xyz` and `color`.
-
-    Raises:
-        InputError: The file is truncated.
-    """
+    """`[P]` structured array of `id`, `xyz` and `color`."""
     return np.frombuffer(b"".join(_records(file, _point_at)), _POINT)
 
 
-def check_frames(folder: Path) -> None:
-    """That `rigs.bin` and `frames.bin`, where there are any, are whole: pycolmap 4.2 never returns from a cut one.
-
-    Raises:
-        InputError: One is truncated.
-    """
-    for name, record_at in (("rigs.bin", _rig_at), ("frames.bin", _frame_at)):
-        if (folder / name).is_file():
-            list(_records(folder / name, record_at))
-
-
 def _records(file: Path, record_at: Callable[[bytes, int], tuple[Record, int]]) -> Iterator[Record]:
-    """The records of a file. `record_at` gives the one that begins at a byte, and the byte after it."""
+    """The records of a file. `record_at` gives the one that begins at a byte, and the byte after it.
+
+    Whatever the bytes say, it ends: at the last record that is promised, or at the end of the file, with an error.
+    """
     data = read_bytes(file)
     at = _COUNT.size
     try:
@@ -113,19 +90,3 @@ def _point_at(data: bytes, at: int) -> tuple[bytes, int]:
     """The point's own bytes; behind them its error (8 bytes), a count, and 8 bytes for each element of its track."""
     (track,) = _COUNT.unpack_from(data, at + _POINT.itemsize + 8)
     return data[at : at + _POINT.itemsize], at + _POINT.itemsize + 8 + _COUNT.size + 8 * track
-
-
-def _rig_at(data: bytes, at: int) -> tuple[None, int]:
-    """Id, count of sensors, the reference sensor (8 bytes); of others 8 bytes, a flag, a pose where it is set."""
-    _, sensors = struct.unpack_from("<II", data, at)
-    at += 8 + 8 * (sensors > 0)
-    for _ in range(sensors - 1):
-        (posed,) = struct.unpack_from("<8xB", data, at)
-        at += 9 + 56 * (posed > 0)
-    return None, at
-
-
-def _frame_at(data: bytes, at: int) -> tuple[None, int]:
-    """Id and rig (8 bytes), a pose (56 bytes), a count, then 16 bytes for each photo."""
-    (photos,) = struct.unpack_from("<64xI", data, at)
-    return None, at + 68 + 16 * photos

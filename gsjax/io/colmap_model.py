@@ -1,8 +1,8 @@
 """A COLMAP model: where it lies, and what its files say.
 
-They are read here and not by pycolmap, which 4.2 reads past the end of a truncated file, drops every second image of an
+They are read here because pycolmap 4.2 reads past the end of a truncated file, drops every second image of an
 `images.txt` without keypoint lines, ends names at their first space, and shears the scene by a quaternion that is not
-of unit length. `rigs` and `frames` say nothing that `images` does not.
+of unit length. `rigs` and `frames` are not read: they say nothing that `images` does not.
 """
 
 import os
@@ -52,8 +52,7 @@ class Model:
 def find_model(root: Path) -> Path | None:
     """The folder under `root` that holds a COLMAP model's cameras file, or None.
 
-    COLMAP writes a model into `sparse/0`, and others next to it where photos are not connected; other programs leave
-    more of them, by other names. The one with the most photos is taken, and a line says so.
+    Of several models, the one with the most photos is taken, and a line says so.
     """
     folders: dict[str, Path] = {}  # by where links lead
     for place in PLACES:
@@ -67,9 +66,8 @@ def find_model(root: Path) -> Path | None:
 def read_model(folder: Path) -> Model:
     """Reads cameras, images and, where there are any, points.
 
-    Quaternions are made unit: they are rounded in many a file, and the turn does not depend on their length. Points may
-    be in `points3D.ply` alone, as 3DGS writes it. Photos without a finite pose or a usable camera are left out, and so
-    are points that are not finite (`gsjax.io.bad_items`).
+    Quaternions are made unit. Points may be in `points3D.ply` alone, as 3DGS writes it. Photos without a finite pose or
+    a usable camera are left out, and so are points that are not finite (`gsjax.io.bad_items`).
 
     Raises:
         InputError: A file is missing, truncated or contradicts another; a camera model is unknown; or too few photos
@@ -81,7 +79,6 @@ def read_model(folder: Path) -> Model:
     for part in ("cameras", "images"):
         if not files[part].is_file():
             raise InputError(f"{files[part]}: missing from the COLMAP model")
-    colmap_binary.check_frames(folder)
     cameras = reader.read_cameras(files["cameras"])
     if not cameras:
         raise InputError(f"{files['cameras']}: no camera in it")
@@ -114,10 +111,8 @@ def _suffix(folder: Path) -> str | None:
     counts = {suffix: _count_images(folder, suffix) for suffix in whole}
     best, other = sorted(whole, key=lambda suffix: -counts[suffix])
     if counts[best] > counts[other]:
-        message = (
-            f"{folder}/images{best} with {counts[best]} photos is taken; images{other} beside it has {counts[other]}"
-        )
-        print_once(f"COLMAP: {message}")
+        line = f"{folder}/images{best} with {counts[best]} photos is taken; images{other} beside it has {counts[other]}"
+        print_once(f"COLMAP: {line}")
     return best
 
 

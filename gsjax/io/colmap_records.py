@@ -46,11 +46,7 @@ CAMERA_MODELS = {
 
 
 def by_id(file: Path, cameras: Iterable[tuple[int, Lens]]) -> dict[int, Lens]:
-    """The cameras of a file by their ids.
-
-    Raises:
-        InputError: Two that differ have one id.
-    """
+    """The cameras of a file by their ids."""
     lenses: dict[int, Lens] = {}
     for camera, lens in cameras:
         if lenses.setdefault(camera, lens) != lens:

@@ -1,7 +1,6 @@
 """Text files of a COLMAP model: lines of words, comments behind a # (https://colmap.github.io/format.html).
 
-Other programs write them too: without the line of keypoints behind an image, with spaces in names, with a byte order
-mark, in Latin-1.
+Files of other programs may lack the keypoints behind an image; they may have spaces in names, or a byte order mark.
 """
 
 from collections.abc import Iterator
@@ -21,33 +20,16 @@ _NO_KEYPOINTS = np.empty(0, KEYPOINT)
 
 def count_images(file: Path) -> int:
     """How many images `images.txt` lists."""
-    return sum(1 for _ in _images(file))
+    return sum(1 for _ in read_images(file))
 
 
 def read_cameras(file: Path) -> dict[int, Lens]:
-    """The cameras by their ids; their numbers are not checked.
-
-    Raises:
-        InputError: A line is no camera, or of a model that COLMAP does not know; or two cameras have one id.
-    """
+    """The cameras by their ids; their numbers are not checked."""
     return by_id(file, (_camera(file, number, line) for number, line in _lines(file) if line))
 
 
-def read_images(file: Path) -> list[ImageRecord]:
-    """The images in the file's order.
-
-    Raises:
-        InputError: A line is neither an image nor the keypoints of the one before.
-    """
-    return list(_images(file))
-
-
 def read_points(file: Path) -> np.ndarray:
-    """`[P]` structured array of `id`, `xyz` and `color`, the last as it is written: floats.
-
-    Raises:
-        InputError: A line is no point.
-    """
+    """`[P]` structured array of `id`, `xyz` and `color`, the last as it is written: floats."""
     return np.fromiter((_point(file, number, line) for number, line in _lines(file) if line), _POINT)
 
 
@@ -73,8 +55,8 @@ def _camera(file: Path, number: int, line: str) -> tuple[int, Lens]:
     return camera, Lens(model, width, height, tuple(params))
 
 
-def _images(file: Path) -> Iterator[ImageRecord]:
-    """A line of keypoints may follow an image, and may be blank."""
+def read_images(file: Path) -> Iterator[ImageRecord]:
+    """The images in the file's order. A line of keypoints may follow an image, and may be blank."""
     image = None
     for number, line in _lines(file):
         keypoints = None if image is None else _keypoints(line)

@@ -18,6 +18,8 @@ from gsjax.scene.similarity import IDENTITY, Similarity
 if TYPE_CHECKING:
     import pycolmap
 
+    from gsjax.scene.cameras import Camera
+
 
 def write_model(
     folder: Path,
@@ -31,27 +33,19 @@ def write_model(
     Args:
         folder: Made where absent.
         frames: Their names become those of the images.
-        points: `[P, 3]` world; without observations.
+        points: `[P, 3]`, as the frames have them; without observations.
         colors: `[P, 3]` uint8.
         similarity: To the coordinates of frames and points from those of the model.
-
-    Raises:
-        InputError: It cannot be written.
     """
     pycolmap = require("pycolmap")
     model = pycolmap.Reconstruction()
     cameras: dict[tuple, int] = {}
     for number, frame in enumerate(frames, 1):
-        K = frame.K.astype(np.float64)
-        size, params = (frame.width, frame.height), (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
-        if (size, params) not in cameras:
-            cameras[size, params] = len(cameras) + 1
-            model.add_camera_with_trivial_rig(
-                pycolmap.Camera(
-                    camera_id=len(cameras), model="PINHOLE", width=size[0], height=size[1], params=list(params)
-                )
-            )
-        image = pycolmap.Image(name=frame.name, camera_id=cameras[size, params], image_id=number)
+        intrinsics = (frame.width, frame.height, *frame.K.ravel())
+        if intrinsics not in cameras:
+            cameras[intrinsics] = len(cameras) + 1
+            model.add_camera_with_trivial_rig(pinhole_camera(len(cameras), frame))
+        image = pycolmap.Image(name=frame.name, camera_id=cameras[intrinsics], image_id=number)
         pose = similarity.viewmat_to_world(frame.viewmat)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:3, :3]), pose[:3, 3]))
     for point, color in zip(similarity.points_to_world(points), colors, strict=True):
@@ -59,18 +53,16 @@ def write_model(
     write_whole(model, folder)
 
 
+def pinhole_camera(number: int, view: "Frame | Camera") -> "pycolmap.Camera":
+    """The camera of a view, with this number as its id."""
+    pycolmap = require("pycolmap")
+    K = np.asarray(view.K, np.float64)
+    params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+    return pycolmap.Camera(camera_id=number, model="PINHOLE", width=view.width, height=view.height, params=params)
+
+
 def write_whole(model: "pycolmap.Reconstruction", folder: Path) -> None:
-    """Writes a `pycolmap.Reconstruction` in binary, and sees that all of it has come onto the disk.
-
-    pycolmap 4.2 does not report a full disk.
-
-    Args:
-        model: The reconstruction to write.
-        folder: Made where absent.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Writes a model in binary and reads it again: pycolmap 4.2 does not report a full disk, which is an InputError."""
     pycolmap = require("pycolmap")
     make_folder(folder)
     try:

@@ -1,7 +1,6 @@
 """Colours of photos in sRGB: by their ICC profile, by the code points of HEIC, AVIF and video, or by EXIF."""
 
 import struct
-from collections.abc import Sequence
 from functools import cache, lru_cache
 from io import BytesIO
 from pathlib import Path
@@ -25,8 +24,8 @@ _PRIMARIES = {  # x and y of red, green and blue, by code point (ITU-T H.273); t
     12: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),  # Display P3
 }
 _ADOBE_RGB = ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06))
-_ADOBE_GAMMA = 563 / 256  # Adobe RGB (1998) color image encoding, 4.3.1.2
-_SRGB_CURVE = (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)  # IEC 61966-2-1, as ICC's function type 3
+_ADOBE_CURVE = (0, (563 / 256,))  # Adobe RGB (1998) color image encoding, 4.3.1.2, as ICC's function type 0
+_SRGB_CURVE = (3, (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045))  # IEC 61966-2-1, as ICC's function type 3
 _D50 = np.array([0.9642, 1.0, 0.8249])  # white of ICC profiles
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
@@ -74,8 +73,8 @@ def _profile_of(path: Path, picture) -> bytes | None:
         print_first((path.parent, coded), f"{message}; its colours are taken as sRGB")
         return None
     if coded is not None:
-        return _coded_profile(coded.primaries)
-    return _adobe_rgb() if is_adobe_rgb(picture) else None
+        return matrix_profile(_PRIMARIES[coded.primaries], _SRGB_CURVE) if coded.primaries in _PRIMARIES else None
+    return matrix_profile(_ADOBE_RGB, _ADOBE_CURVE) if is_adobe_rgb(picture) else None
 
 
 def _coding_of(path: Path, picture) -> CodePoints | None:
@@ -91,12 +90,7 @@ def _coding_of(path: Path, picture) -> CodePoints | None:
 
 @lru_cache(maxsize=32)
 def _to_srgb(profile: bytes) -> tuple[str, Any]:
-    """The mode of Pillow that a profile is for, and the transform from it to sRGB; None where it is sRGB's.
-
-    Raises:
-        PyCMSError: The profile is damaged; also as OSError.
-        ValueError: It is for another kind of colours.
-    """
+    """The mode of Pillow that a profile is for, and the transform from it to sRGB; None where it is sRGB's."""
     source = ImageCms.ImageCmsProfile(BytesIO(profile))
     space = source.profile.xcolor_space.strip()  # pyright: ignore[reportAttributeAccessIssue]
     if space not in _MODES:
@@ -124,11 +118,7 @@ def _is_srgb(transform, mode: str) -> bool:
 
 
 def _for_profile(picture, mode: str):
-    """A picture in the mode of its profile.
-
-    Raises:
-        ValueError: It is of another kind.
-    """
+    """A picture in the mode of its profile."""
     is_grey = picture.mode[0] in "1LIF" and picture.mode != "LAB"
     own = "CMYK" if picture.mode == "CMYK" else "L" if is_grey else "RGB"
     if own != mode and (own, mode) != ("L", "RGB"):
@@ -142,17 +132,7 @@ def in_mode(picture, mode: str):
 
 
 @cache
-def _coded_profile(primaries: int) -> bytes | None:
-    """The ICC profile of code points with the curve of sRGB; None of the primaries of sRGB, and of others."""
-    return matrix_profile(_PRIMARIES[primaries], (3, _SRGB_CURVE)) if primaries in _PRIMARIES else None
-
-
-@cache
-def _adobe_rgb() -> bytes:
-    return matrix_profile(_ADOBE_RGB, (0, (_ADOBE_GAMMA,)))
-
-
-def matrix_profile(primaries: Sequence[tuple[float, float]], curve: tuple[int, Sequence[float]]) -> bytes:
+def matrix_profile(primaries: tuple[tuple[float, float], ...], curve: tuple[int, tuple[float, ...]]) -> bytes:
     """An ICC profile (version 4) of x and y of red, green and blue, white D65, and a parametric curve (its type)."""
     columns = np.stack([_xyz(*each) for each in primaries], axis=-1)
     white = _xyz(*_D65)

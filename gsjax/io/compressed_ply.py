@@ -76,28 +76,20 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians, place: Place = 
 
 
 def read_compressed_ply(path: str | Path) -> Gaussians:
-    """Reads a compressed PLY, of older writers too: without bounds of colours these are between 0 and 1.
+    """Reads a compressed PLY as numpy float32 arrays; without bounds of colours these are between 0 and 1.
 
     Opacities of 0 and 255 get finite logits, a quarter of a step within 0 and 1.
-
-    Returns:
-        Gaussians of numpy float32 arrays.
-
-    Raises:
-        InputError: The file is no compressed PLY, is truncated, or holds bounds that are not finite.
     """
     path = Path(path)
     elements, header = ply_elements.read_elements(path)
-    chunks, vertices = elements.get("chunk"), elements.get("vertex")
-    if chunks is None or vertices is None:
-        raise InputError(f"{path}: not a compressed PLY of Gaussians")
+    chunks, vertices = (elements.get(name, np.empty(0, [])) for name in ("chunk", "vertex"))
+    chunk_columns, columns = chunks.dtype.names or (), vertices.dtype.names or ()
     bounds = {name for names in (_MEANS, _SCALES) for end in _bounds(names) for name in end}
-    packed = {vertices.dtype[name].str[1:] for name in _PACKED if name in (vertices.dtype.names or ())}
-    lacks_packed = not set(_PACKED) <= set(vertices.dtype.names or ()) or packed != {"u4"}
-    if not bounds <= set(chunks.dtype.names or ()) or lacks_packed:
+    is_packed = all(name in columns and vertices.dtype[name].str[1:] == "u4" for name in _PACKED)
+    if not (is_packed and bounds <= set(chunk_columns)):
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
-    report_unread(path, [name for name in vertices.dtype.names or () if name not in _PACKED])
-    if not np.isfinite(ply_elements.stack_columns(chunks, list(chunks.dtype.names or ()))).all():
+    report_unread(path, [name for name in columns if name not in _PACKED])
+    if not np.isfinite(ply_elements.stack_columns(chunks, list(chunk_columns))).all():
         raise InputError(f"{path}: bounds of a chunk are not finite")
     count = len(vertices)
     harmonics = elements.get("sh", np.empty(count, []))  # None where the degree is 0.
@@ -113,7 +105,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
 
     largest, three = vertices["packed_rotation"] >> 30, _unpack(vertices["packed_rotation"], _OF_ROTATIONS)
     colors = vertices["packed_color"] >> 8
-    with_bounds = {name for end in _bounds(_COLORS) for name in end} <= set(chunks.dtype.names or ())
+    with_bounds = {name for end in _bounds(_COLORS) for name in end} <= set(chunk_columns)
     colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
     rest = ply_elements.stack_columns(harmonics, ply_elements.rest_names(path, harmonics.dtype.names or ()))
     rest = (np.where((rest > 0) & (rest < 255), (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST

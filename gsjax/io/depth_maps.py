@@ -55,8 +55,7 @@ def open_depth_maps(scene: str | Path, source: str, unit: str | None, frames: tu
 
     A map has its photo's name with the suffix in place of the photo's or after it. A folder `confidence` next to that
     of the maps may hold 8-bit PNGs of the same names: 0 to 255, or ARKit's levels 0, 1 and 2. Each map is read
-    once now. What part of a map its photo shows, `gsjax.io.depth_windows.window_of` decides. Maps that cannot be used
-    are left out and named (`gsjax.io.bad_items`).
+    once now. Maps that cannot be used are left out and named (`gsjax.io.bad_items`).
 
     Args:
         scene: Folder of the data set.
@@ -90,16 +89,16 @@ def _listed_maps(listed: Mapping[str, DepthFile], unit: str | None, frames: tupl
     first = next(iter(listed.values()))
     if not existing_files:
         raise InputError(f"{first.path}: no such depth map, nor another that the data set lists")
-    metres = {listed[name].metres for name in existing_files}
-    if unit is None and len(metres) > 1:
-        raise InputError(f"{first.path.parent}: its maps are listed in several units; --depth-unit names one for all")
     folder = next(iter(existing_files.values())).parent
-    if unit is None and not all(0 < length < math.inf for length in metres):
-        raise InputError(f"{folder}: its maps are listed with a depth_unit_scale_factor that is no number above 0")
     if unit is not None:
         return _opened(folder, existing_files, unit, METRES.get(unit), frames)
+    metres, *others = {listed[name].metres for name in existing_files}
+    if others:
+        raise InputError(f"{first.path.parent}: its maps are listed in several units; --depth-unit names one for all")
+    if not 0 < metres < math.inf:
+        raise InputError(f"{folder}: its maps are listed with a depth_unit_scale_factor that is no number above 0")
     names = {length: name for name, length in METRES.items()}
-    return _opened(folder, existing_files, names.get(min(metres), f"units of {min(metres):g} m"), min(metres), frames)
+    return _opened(folder, existing_files, names.get(metres, f"units of {metres:g} m"), metres, frames)
 
 
 def _opened(

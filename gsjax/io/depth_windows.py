@@ -29,17 +29,9 @@ class Window(NamedTuple):
 def window_of(file: Path, size: tuple[int, int], frame: Frame, intrinsics: np.ndarray | None) -> tuple[Window, str]:
     """The window of a frame's map, and how it was found where that is not the whole map, or "".
 
-    With intrinsics, the map is that of a camera in the photo's place, without distortion. Else the map shows as much as
-    its photo, or more at two opposite sides: its middle of the photo's shape is the window.
-
-    Args:
-        file: The map, for messages.
-        size: Its width and height.
-        frame: Of its photo.
-        intrinsics: `[3, 3]`, pixels of the map; None: not stated.
-
-    Raises:
-        InputError: The shapes are of different views.
+    With intrinsics `[3, 3]`, pixels of the map, it is that of a camera in the photo's place, without distortion. Else
+    the map shows as much as its photo, or more at two opposite sides: its middle of the photo's shape is the window.
+    InputError where the shapes are of different views.
     """
     width, height = size
     photo_size = (frame.width, frame.height) if frame.origin is None else frame.origin.photo
@@ -65,22 +57,19 @@ def window_of(file: Path, size: tuple[int, int], frame: Frame, intrinsics: np.nd
 
 
 def on_grid(
-    readings: tuple[np.ndarray, np.ndarray], frame: Frame, scale: int, window: Window | None = None
+    readings: tuple[np.ndarray, np.ndarray], frame: Frame, scale: int, window: Window
 ) -> tuple[np.ndarray, np.ndarray]:
     """What was measured, at the pixels of a frame: `[H // scale, W // scale]`, 0 where nothing was.
 
-    Nothing is interpolated, because between two surfaces there is none: of a map that is larger than the frame each
-    pixel takes the nearest value; of a smaller one each value goes to the one pixel that holds it. Of a distorted photo
-    each pixel of the frame takes the nearest value.
+    Nothing is interpolated, because between two surfaces there is none: of a map that is larger than the frame, or of a
+    distorted photo, each pixel takes the nearest value. Each value of a smaller map goes to the pixel that holds it.
 
     Args:
         readings: Depth and confidence, `[h, w]` of any size.
         frame: The photo's.
         scale: The frame is reduced by this factor; a rest at the right and the bottom is dropped.
-        window: What of the map the photo shows; None: all.
+        window: What of the map the photo shows.
     """
-    height, width = readings[0].shape
-    window = window or Window(0, 0, width, height)
     if frame.origin is not None and not window.is_undistorted:
         readings = _undistorted(readings, frame.origin.positions(), window)
         window = Window(0, 0, frame.width, frame.height)

@@ -1,20 +1,18 @@
 """Groups of photos that show one shot: a HEIC and its JPEG, a resized or re-encoded file, a second file of one name.
 
 Two files show the same shot where small grey pictures of them are equal but for what encoders, resizing and another
-colour space change. A frame of a video differs from the next one by more: each group is compared with its first photo
-only, so that a slow video does not become one group by small steps.
+colour space change. Each group is compared with its first photo only, or a slow video would become one group.
 """
 
-import os
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from gsjax.errors import InputError
 from gsjax.io.color_profiles import in_srgb
 from gsjax.io.exif import orientation_of
+from gsjax.io.files import stamp
 from gsjax.io.images import Image, decoding, open_image, read_image
 from gsjax.io.machine import memory_for
 from gsjax.io.parallel_map import parallel_map
@@ -57,14 +55,13 @@ def group_duplicates(files: Sequence[Path]) -> list[list[int]]:
 def _small_picture(file: Path) -> np.ndarray | None:
     """`[SIDE * SIDE]` float32 grey levels less their mean, upright; None of a file that cannot be read."""
     try:
-        status = os.stat(file)
-        return _decoded(file, status.st_mtime_ns, status.st_size)
-    except (InputError, OSError, ValueError):  # ValueError: of a name that no disk holds.
+        return _decoded(file, stamp(file))
+    except (OSError, ValueError):
         return None
 
 
 @cache
-def _decoded(file: Path, _changed: int, _size: int) -> np.ndarray:
+def _decoded(file: Path, _stamp: tuple[int, int]) -> np.ndarray:
     """As `_small_picture`, once for each state of a file: commands load a data set several times."""
     with open_image(file) as picture:
         picture.draft("RGB", (_DRAFT, _DRAFT))
@@ -87,15 +84,8 @@ def _reduced(file: Path, picture):
 
 def _upright(small, picture):
     """The small picture, turned as the EXIF orientation of the file says."""
-    transposes = Image.Transpose
-    turns = {
-        2: transposes.FLIP_LEFT_RIGHT,
-        3: transposes.ROTATE_180,
-        4: transposes.FLIP_TOP_BOTTOM,
-        5: transposes.TRANSPOSE,
-        6: transposes.ROTATE_270,
-        7: transposes.TRANSVERSE,
-        8: transposes.ROTATE_90,
-    }
-    orientation = orientation_of(picture)
-    return small.transpose(turns[orientation]) if orientation in turns else small
+    turn = Image.Transpose
+    turns = [turn.FLIP_LEFT_RIGHT, turn.ROTATE_180, turn.FLIP_TOP_BOTTOM]
+    turns += [turn.TRANSPOSE, turn.ROTATE_270, turn.TRANSVERSE, turn.ROTATE_90]
+    orientation = orientation_of(picture) or 1
+    return small if orientation == 1 else small.transpose(turns[orientation - 2])

@@ -21,15 +21,9 @@ _COPIES = 3  # of a file, at least, while what it says becomes arrays
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary name in the folder of `path`, renamed onto `path` when the block ends without an error.
 
-    The temporary name keeps the target's suffix, so writers that choose a format by suffix work. Its bytes are on
-    the disk before the rename. The parent folder is created; after a failure nothing of the block remains, and what
-    a killed writer of `path` has left goes first. Where `path` is a link, it stays one, and the file is where it leads.
-
-    Args:
-        path: Where the whole file is to be.
-
-    Yields:
-        The name to write to. A block that does not write it raises AssertionError: a bug of the caller.
+    The temporary name keeps the target's suffix. Its bytes are on the disk before the rename. The parent folder is
+    created; after a failure nothing of the block remains, and what a killed writer of `path` has left goes first. Where
+    `path` is a link, it stays one, and the file is where it leads. A block that writes nothing is a bug of the caller.
 
     Raises:
         InputError: The disk is full, read-only, or the like, or `path` is a folder, a device or a pipe; one line with
@@ -62,14 +56,8 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
 
     After a failure nothing of the block remains; what one that was killed has left is removed by the next.
 
-    Args:
-        path: Where the whole folder is to be; absent or empty so far, or a link to such a folder.
-
-    Yields:
-        The folder to write to.
-
     Raises:
-        InputError: `path` is in use, or the disk is full, read-only, or the like.
+        InputError: `path` is neither absent nor empty, or the disk is full, read-only, or the like.
     """
     path = Path(path)
     require_empty(path)
@@ -95,6 +83,15 @@ def read_bytes(path: str | Path) -> bytes:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
+def stamp(path: Path) -> tuple[int, int]:
+    """When a file was written, nanoseconds, and its bytes; zeros where it is absent."""
+    try:
+        status = path.stat()
+    except (OSError, ValueError):  # ValueError: of a name that no disk holds.
+        return 0, 0
+    return status.st_mtime_ns, status.st_size
+
+
 def require_empty(path: str | Path) -> None:
     """Raises InputError unless a folder of this name can be made, or is there without anything in it."""
     path = Path(path)
@@ -104,13 +101,7 @@ def require_empty(path: str | Path) -> None:
 
 @contextmanager
 def workspace(path: str | Path) -> Iterator[Path]:
-    """A folder next to `path` for what is to become it, removed after the block.
-
-    What killed ones have left there is removed first.
-
-    Raises:
-        InputError: The disk is full, read-only, or the like.
-    """
+    """A folder next to `path` for what is to become it, removed after the block, as what killed ones have left."""
     path = behind_link(Path(path))
     make_folder(path.parent)
     sweep_beside(path)
@@ -137,9 +128,6 @@ def replaced_files(folder: Path) -> Iterator[Path]:
 
     If the block fails or is killed, nothing has changed. If the process is killed later, the next `finish_replacement`
     completes the replacement; every reader of the folder calls it.
-
-    Raises:
-        InputError: The disk is full, read-only, or the like.
     """
     finish_replacement(folder)
     with workspace(folder / PENDING) as new_folder:
@@ -151,11 +139,7 @@ def replaced_files(folder: Path) -> Iterator[Path]:
 
 
 def finish_replacement(folder: Path) -> None:
-    """Puts the files in place that a killed `replaced_files` has left pending.
-
-    Raises:
-        InputError: They cannot be put there.
-    """
+    """Puts the files in place that a killed `replaced_files` has left pending."""
     pending = folder / PENDING
     if not pending.is_dir():
         return
@@ -172,11 +156,7 @@ def finish_replacement(folder: Path) -> None:
 
 @contextmanager
 def folder_if_used(path: str | Path) -> Iterator[Path]:
-    """A folder that is made for the block, and taken away again, with parents made for it, where nothing came into it.
-
-    Raises:
-        InputError: It cannot be created, or a file has its name.
-    """
+    """A folder that is made for the block; where nothing came into it, it and the parents made for it go again."""
     path = Path(path)
     new_folders = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
@@ -188,11 +168,7 @@ def folder_if_used(path: str | Path) -> Iterator[Path]:
 
 
 def make_folder(path: str | Path) -> Path:
-    """Creates a folder and its parents where absent.
-
-    Raises:
-        InputError: It cannot be created, or a file has its name.
-    """
+    """Creates a folder and its parents where absent."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:

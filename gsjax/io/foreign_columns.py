@@ -20,10 +20,9 @@ CHANGING = {  # What columns mean without which the others are no Gaussians as t
 
 
 def filter_column(path: Path, names: Iterable[str]) -> str | None:
-    """The column of 3D filters that a file has, if any; a line names those that are not read.
+    """The column of 3D filters that a file has, if any; a line names columns that are not read.
 
-    Raises:
-        InputError: Columns change what the others mean.
+    InputError names columns that change what the others mean.
     """
     foreign = [name for name in names if not KNOWN.fullmatch(name)]
     for what, pattern in CHANGING.items():
@@ -47,7 +46,7 @@ def _grouped(names: Sequence[str]) -> list[str]:
 
 
 def fuse_filter(log_scales: np.ndarray, logits: np.ndarray, filters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gaussians smoothed by an isotropic 3D filter each, as Mip-Splatting defines it (arXiv:2311.16493, eq. 9).
+    """Log scales and logits, float32, smoothed by an isotropic 3D filter each (Mip-Splatting, arXiv:2311.16493, eq. 9).
 
     Variances grow by that of the filter, and opacities shrink by the root of the determinants' ratio.
 
@@ -55,9 +54,6 @@ def fuse_filter(log_scales: np.ndarray, logits: np.ndarray, filters: np.ndarray)
         log_scales: `[N, K]` logs of the deviations along the axes.
         logits: `[N, 1]` of the opacities.
         filters: `[N, 1]` deviations of the filters, scene units.
-
-    Returns:
-        Log scales and logits, float32.
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         before = log_scales.astype(np.float64)

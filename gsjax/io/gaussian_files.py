@@ -1,8 +1,8 @@
 """Files of Gaussians by suffix: 3DGS's plain PLY, PlayCanvas's compressed PLY and SOG, and SPZ; and that of a run.
 
 The compressed ones have few bits for positions and sizes. Gaussians that lie far off their origin, or are very small or
-large in their units, are stored in local coordinates (`gsjax.scene.similarity`), which a second file holds:
-`garden.spz.similarity.json`. With it the file is read as what was written; without, as the local one.
+large in their units, are stored in local coordinates (`gsjax.scene.similarity`), which a second file states:
+`garden.spz.similarity.json`.
 """
 
 from collections.abc import Callable
@@ -48,11 +48,7 @@ def _stated_beside(write: Callable[[Path, Gaussians], int]) -> Callable[[Path, G
 
 
 def stored_similarity(path: str | Path) -> Similarity:
-    """To the coordinates in a compressed file from those of its Gaussians, as the JSON file next to it states.
-
-    Raises:
-        InputError: That is damaged.
-    """
+    """To the coordinates in a compressed file from those of its Gaussians, as the JSON file next to it states."""
     file = _beside(path)
     return parse_similarity(json_files.read(file), file) if file.exists() else IDENTITY
 
@@ -100,11 +96,7 @@ FORMATS = {
 
 
 def format_of(path: str | Path) -> Format:
-    """The format of a file's suffix, in capitals or not; the longest that fits.
-
-    Raises:
-        InputError: The suffix is none of `FORMATS`.
-    """
+    """The format of a file's suffix, in capitals or not; the longest that fits, or InputError where none does."""
     for suffix, form in FORMATS.items():
         if Path(path).name.lower().endswith(suffix):
             return form

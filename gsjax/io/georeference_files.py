@@ -9,7 +9,6 @@ from pathlib import Path
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.json_files import plain
 from gsjax.scene.georeference import UNPLACED, Place, parse_place
 
 FILE = "place.json"
@@ -19,11 +18,7 @@ _MOST_HEADER = 2**16  # bytes of a PLY in which its comments are looked for
 
 
 def write_place(folder: Path, place: Place) -> None:
-    """`place.json` of a data set or a run; none where nothing is known.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """`place.json` of a data set or a run; none where nothing is known."""
     if place.is_known or place.up is not None:
         json_files.write(folder / FILE, place.record())
     else:
@@ -31,26 +26,18 @@ def write_place(folder: Path, place: Place) -> None:
 
 
 def read_place(folder: Path) -> Place:
-    """What `place.json` in a data set or a run says.
-
-    Raises:
-        InputError: It is damaged.
-    """
+    """What `place.json` in a data set or a run says."""
     file = folder / FILE
     return parse_place(json_files.read(file), file) if file.is_file() else UNPLACED
 
 
 def place_comments(place: Place) -> list[str]:
     """The lines of a PLY's header that state a place: one, or none where nothing is known."""
-    return [_COMMENT + json.dumps(plain(place.statement()))] if place.is_known else []
+    return [_COMMENT + json.dumps(json_files.plain(place.statement()))] if place.is_known else []
 
 
 def state_beside(path: Path, place: Place) -> None:
-    """State the place of a file that cannot hold it in a second file; remove one that is there of another file.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """State the place of a file that cannot hold it in a second file; remove one that is there of another file."""
     if place.is_known:
         json_files.write(_beside(path), place.statement())
     else:
@@ -58,11 +45,7 @@ def state_beside(path: Path, place: Place) -> None:
 
 
 def stated_place(path: Path) -> Place:
-    """The place that a file of Gaussians or a mesh states, or a second file; unknown where none does.
-
-    Raises:
-        InputError: What is stated is none.
-    """
+    """The place that a file of Gaussians or a mesh states, or a second file; unknown where none does."""
     suffix = path.suffix.lower()
     if suffix == ".ply":
         content = _in_ply(path)

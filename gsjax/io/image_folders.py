@@ -23,12 +23,9 @@ def locate_photos(root: Path, photos: Sequence[Photo], images: str | None) -> li
     Args:
         root: Folder of the data set.
         photos: As the data set lists them.
-        images: Folder that holds them by their names, absolute or in `root`. None: where the data set says, or,
-            where none of them is there, the largest of `images_2`, `images_4` and `images_8` that holds the most; one
+        images: Folder that holds them by their names, absolute or in `root`; InputError where it does not exist. None:
+            where the data set says, or, where none of them is there, the largest of `REDUCED` that holds the most; one
             line on stderr says so.
-
-    Raises:
-        InputError: The folder that is named does not exist.
     """
     if images is not None:
         if not os.path.isdir(root / images):

@@ -44,8 +44,8 @@ def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """A photo as its pixels are stored: an EXIF orientation is not applied, as COLMAP does not apply it.
 
     Decoded by Pillow, which refuses a truncated file where OpenCV fills the rest with grey. What counts to more than
-    255 is taken as 16 bits; floats as shares of 1. Colours of another space than sRGB, by an ICC profile or as
-    `gsjax.io.color_profiles` has it, are converted. A JPEG that lacks nothing but its end marker is read.
+    255 is taken as 16 bits; floats as shares of 1. Colours are converted to sRGB (`gsjax.io.color_profiles`). A JPEG
+    that lacks nothing but its end marker is read.
 
     Returns:
         `[H, W, 3]` uint8 colours in sRGB and `[H, W]` uint8 alpha, or None where the file has no alpha.
@@ -69,14 +69,10 @@ def check_image(path: Path) -> None:
 
 
 def read_mask(path: Path) -> np.ndarray:
-    """`[H, W]` uint8 mask, 255 where the mask is on.
+    """`[H, W]` uint8 mask, 255 where the mask is on; InputError as of `read_image`.
 
-    A file of small numbers counts, 0 and 1, or has labels: what is not 0 is on.
-
-    A file with an alpha channel that is not constant gives its alpha.
-
-    Raises:
-        InputError: The file is missing, no image, or damaged.
+    Of a file of numbers below 32 (0 and 1, or labels), what is not 0 is on. A file with an alpha channel that is not
+    constant gives its alpha.
     """
     colors, alpha = _pixels(path, partial(in_mode, mode="RGB"))  # Numbers, which no profile changes.
     mask = colors.max(axis=-1) if alpha is None or alpha.min() == alpha.max() else alpha
@@ -86,12 +82,10 @@ def read_mask(path: Path) -> np.ndarray:
 def write_image(path: str | Path, image: np.ndarray) -> None:
     """Writes `[H, W, 3]` (or `[H, W]`, `[H, W, 4]`) uint8 pixels, in the format that the suffix names; JPEGs at 95.
 
-    Pillow's encoders do not report a full disk: they write to memory, and that is written as a whole.
-
     Raises:
         InputError: The target cannot be written, or its suffix names no format.
     """
-    encoded = _encoded(image, _format(Path(path)), quality=_JPEG_QUALITY)
+    encoded = _encoded(image, _format(Path(path)), quality=_JPEG_QUALITY)  # Pillow does not report a full disk.
     with atomic_path(path) as temporary:
         temporary.write_bytes(encoded)
 
@@ -113,15 +107,10 @@ def _encoded(image: np.ndarray, form: str, **options: Any) -> bytes:
 
 
 def decode_rgba(where: str, content: bytes, *, most: int) -> np.ndarray:
-    """`[H, W, 4]` uint8 pixels of a WebP or PNG in memory.
-
-    Args:
-        where: What to call it in messages.
-        content: Its bytes.
-        most: Pixels; an image of more is not decoded.
+    """`[H, W, 4]` uint8 pixels of a WebP or PNG in memory, which `where` names in messages.
 
     Raises:
-        InputError: It is no such image, is damaged, or has more pixels.
+        InputError: It is no such image, is damaged, or has more than `most` pixels.
     """
     try:
         with warnings.catch_warnings():
@@ -138,21 +127,13 @@ def decode_rgba(where: str, content: bytes, *, most: int) -> np.ndarray:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height in pixels, from the header only.
-
-    Raises:
-        InputError: The file is missing or no image.
-    """
+    """Width and height in pixels, from the header only."""
     with open_image(path) as picture:
         return picture.size
 
 
 def upright_size(path: Path) -> tuple[int, int]:
-    """Width and height of the picture as its EXIF orientation shows it, from the header only.
-
-    Raises:
-        InputError: The file is missing or no image.
-    """
+    """Width and height of the picture as its EXIF orientation shows it, from the header only."""
     with open_image(path) as picture:
         width, height = picture.size
         return (height, width) if orientation_of(picture) in _QUARTER_TURNS else (width, height)
@@ -160,13 +141,7 @@ def upright_size(path: Path) -> tuple[int, int]:
 
 @contextmanager
 def open_image(path: str | Path) -> Iterator[Any]:
-    """The file as Pillow opens it, of which only the header is read; for as long as the block lasts.
-
-    Photos may be of any size: what is decoded is held to the memory that there is, not to Pillow's fixed limit.
-
-    Raises:
-        InputError: The file is missing or no image.
-    """
+    """The file as Pillow opens it, of which only the header is read; InputError where it is missing or no image."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Of metadata that nobody asked for.
         with decoding(path):
@@ -180,11 +155,7 @@ def open_image(path: str | Path) -> Iterator[Any]:
 
 @contextmanager
 def decoding(path: str | Path) -> Iterator[None]:
-    """A block in which Pillow alone works on a file: whatever it raises means that the file is damaged.
-
-    Raises:
-        InputError: In place of what Pillow raises; where memory ends, MemoryError stays.
-    """
+    """A block in which Pillow alone works on a file: whatever it raises but MemoryError becomes an InputError."""
     try:
         yield
     except (InputError, MemoryError):
@@ -194,11 +165,7 @@ def decoding(path: str | Path) -> Iterator[None]:
 
 
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether one size (width, height) can be the other resized: some factor gives both sides of the smaller one.
-
-    Programs that resize round a side down, up or to the nearest whole pixel: each side of the smaller one must be less
-    than a pixel from the factor times the larger one's.
-    """
+    """Whether one size (width, height) can be the other resized, each side rounded down, up or to the nearest pixel."""
     (width, height), (full_width, full_height) = sorted((size, other), key=lambda sides: sides[0] * sides[1])
     # The factors that suit a side lie between (side - 1) / full and (side + 1) / full; the two ranges must meet.
     return (width - 1) * full_height < (height + 1) * full_width and (
@@ -223,7 +190,7 @@ def resample(image: np.ndarray, width: int, height: int) -> np.ndarray:
 def filter_straight(
     colors: np.ndarray, alpha: np.ndarray | None, warp: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Sends straight colours and their alpha through a filter that mixes pixels.
+    """Straight colours and their alpha, uint8, after a filter that mixes pixels.
 
     Colours are weighted by alpha meanwhile, so what a transparent pixel happens to hold never bleeds in.
 
@@ -231,9 +198,6 @@ def filter_straight(
         colors: `[H, W, 3]` uint8.
         alpha: `[H, W]` uint8 or None.
         warp: Linear filter of `[H, W]` or `[H, W, C]` arrays, uint8 and float32.
-
-    Returns:
-        Filtered colours and alpha, uint8.
     """
     if alpha is None:
         return warp(colors), None

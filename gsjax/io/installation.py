@@ -36,15 +36,8 @@ class Finding:
     remedy: str = ""  # what to type where it is not fine
 
 
-def examine(folder: str | Path = ".") -> Iterator[Finding]:
-    """Check libraries, the device, the rasterizer's engine, memory, disk, and the cache of compiled programs.
-
-    Args:
-        folder: Where runs are to be written.
-
-    Yields:
-        What was found, as it is found.
-    """
+def examine() -> Iterator[Finding]:
+    """Check libraries, the device, the rasterizer's engine, memory, this folder's disk, the cache of programs."""
     broken = set()
     for finding in check_libraries():
         broken |= set() if finding.is_fine else {finding.name}
@@ -52,7 +45,7 @@ def examine(folder: str | Path = ".") -> Iterator[Finding]:
     if not broken & {"jax", "numpy"}:
         yield from check_device()
     yield check_memory()
-    yield check_disk(Path(folder))
+    yield check_disk(Path())
     yield check_cache()
 
 
@@ -159,7 +152,8 @@ def check_cache() -> Finding:
 
 def likely_device() -> str:
     """What jax will compute on, judged without loading it: a GPU's name, "an NVIDIA GPU" or "the CPU"."""
-    if os.environ.get("JAX_PLATFORMS") == "cpu" or not _has_cuda():
+    has_cuda = any(map(importlib.util.find_spec, ("jax_cuda13_plugin", "jax_cuda12_plugin")))
+    if os.environ.get("JAX_PLATFORMS") == "cpu" or not has_cuda:
         return "the CPU"
     return gpu_name() or "the CPU"
 
@@ -182,16 +176,6 @@ def version_line() -> str:
     except metadata.PackageNotFoundError:
         jax = "is missing"
     return f"gsjax {version()}, jax {jax}, {on_cpu if device == 'the CPU' else 'pallas'} rasterizer on {device}"
-
-
-def _has_cuda() -> bool:
-    for plugin in ("jax-cuda13-plugin", "jax-cuda12-plugin"):
-        try:
-            metadata.version(plugin)
-        except metadata.PackageNotFoundError:
-            continue
-        return True
-    return False
 
 
 def _project() -> dict | None:

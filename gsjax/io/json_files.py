@@ -12,15 +12,10 @@ from gsjax.io.files import atomic_path, read_bytes
 from gsjax.io.json_shapes import Shape, check
 
 MOST_DIGITS = 19  # of an integer: nothing that is counted has more, and floats hold it
-DEEPEST = 50  # levels of a file; whoever walks through one calls itself as often
 
 
 def write(path: str | Path, data: Any) -> None:
-    """Writes indented JSON; numpy and jax scalars become numbers, arrays lists, NaN and infinities null.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Writes indented JSON; numpy and jax scalars become numbers, arrays lists, NaN and infinities null."""
     text = json.dumps(plain(data), indent=2, allow_nan=False) + "\n"
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -29,12 +24,8 @@ def write(path: str | Path, data: Any) -> None:
 def read(path: str | Path, shape: Shape = object) -> Any:
     """What a JSON file holds; a byte order mark before it is no fault.
 
-    Args:
-        path: The file.
-        shape: What it must look like, see `gsjax.io.json_shapes`.
-
     Raises:
-        InputError: The file is absent, is no JSON, is nested deeper than `DEEPEST`, or has not the shape.
+        InputError: The file is absent, is no JSON, is nested too deeply, or has not the shape (`json_shapes.Shape`).
     """
     try:
         return parse(path, read_bytes(path).decode("utf-8-sig"), shape)
@@ -43,21 +34,13 @@ def read(path: str | Path, shape: Shape = object) -> Any:
 
 
 def parse(where: object, text: str, shape: Shape = object) -> Any:
-    """What a JSON text holds; `where` names it in messages.
-
-    Raises:
-        InputError: It is no JSON, is nested deeper than `DEEPEST`, or has not the shape.
-    """
+    """What a JSON text holds; `where` names it in messages."""
     try:
         value = json.loads(text, parse_int=_integer)
     except ValueError as error:
         raise InputError(f"{where}: is no JSON ({str(error).splitlines()[0]})") from error
     except RecursionError:
-        value, too_deep = None, True
-    else:
-        too_deep = _is_deeper(value, DEEPEST)
-    if too_deep:
-        raise InputError(f"{where}: is nested deeper than {DEEPEST} levels")
+        raise InputError(f"{where}: is nested too deeply") from None
     check(where, value, shape)
     return value
 
@@ -66,17 +49,6 @@ def _integer(digits: str) -> int:
     if len(digits) > MOST_DIGITS:
         raise ValueError(f"an integer of {len(digits)} characters")
     return int(digits)
-
-
-def _is_deeper(value: Any, levels: int) -> bool:
-    """Whether lists and tables lie in each other deeper than so many levels."""
-    layer = [value]
-    for _ in range(levels):
-        inner = (item.values() if isinstance(item, dict) else item for item in layer if isinstance(item, dict | list))
-        layer = [item for items in inner for item in items]
-        if not layer:
-            return False
-    return any(isinstance(item, dict | list) for item in layer)
 
 
 def plain(value: Any) -> Any:

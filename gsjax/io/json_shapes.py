@@ -22,14 +22,7 @@ MOST = 2**53  # of an integer, as floats hold them
 
 
 def check(where: object, value: Any, shape: Shape, at: str = "") -> None:
-    """Raises InputError with the first part of `value`, by its place, that has not its shape.
-
-    Args:
-        where: What to call the whole: a file.
-        value: As JSON gives it.
-        shape: See `Shape`.
-        at: What to call the value within the whole.
-    """
+    """Raises InputError with the first part of `value`, by its place `at` in the whole, that has not its shape."""
     if isinstance(shape, tuple):
         fitting = [option for option in shape if _is_alike(value, option)]
         if not fitting:

@@ -69,12 +69,7 @@ class PinholeView:
 
 
 def check_lens(lens: Lens, where: str | Path) -> Lens:
-    """The lens itself, once its size and numbers are found usable.
-
-    Raises:
-        InputError: The size or a focal length is not positive, or a number beyond what can be used; begins with
-            `where`.
-    """
+    """The lens itself, once its size and numbers are found usable; else InputError, which begins with `where`."""
     focals = lens.params[: 1 if lens.model in _WITH_TWO_FOCALS else 2]
     if not (0 < lens.width < _LARGEST_SIDE and 0 < lens.height < _LARGEST_SIDE):
         fault = "a size that no photo has"
@@ -145,10 +140,8 @@ def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
     """The pinhole views of a lens: one, or faces of a cube, each of 90 degrees.
 
     A full panorama (EQUIRECTANGULAR) has all six; a fisheye photo whose corners lie farther than 60 degrees from the
-    axis has the front one, and of those at the sides, above and below what it covers.
-
-    The one view keeps the lens's focal lengths and principal point, and its size less the rows and columns at the
-    border that the photo does not cover; pixels inside which it does not cover are 0 in `valid`.
+    axis has what it covers of each. The one view keeps the lens's focal lengths and principal point, and its size less
+    the rows and columns at the border that the photo does not cover.
 
     Raises:
         InputError: The parameters give no image around the principal point, or the photo is larger than memory has
@@ -205,10 +198,7 @@ def is_circular(lens: Lens) -> bool:
 
 
 def _corner_angle(camera) -> float:
-    """Radians between the axis and the farthest of a photo's corners; infinite where the lens does not reach one.
-
-    COLMAP's fisheye models know no ray of 90 degrees or more, and give another one for its pixel.
-    """
+    """Radians between the axis and the farthest of a photo's corners; infinite where the lens does not reach one."""
     corners = np.array([[x, y] for x in (0.0, camera.width) for y in (0.0, camera.height)])
     rays = np.asarray(camera.cam_ray_from_img(image_points=corners))
     if not (np.isfinite(rays).all() and np.abs(camera.img_from_cam(rays) - corners).max() < 1):
@@ -220,9 +210,6 @@ def _faces(lens: Lens) -> tuple[PinholeView, ...]:
     """The faces of a cube that the photo covers, of 90 degrees each, cut to what it covers of each.
 
     Their pixels are as dense in the middle as a fisheye photo's middle, or as a panorama's equator.
-
-    Raises:
-        InputError: It covers nothing of any.
     """
     camera, is_panorama = pycolmap_camera(lens), lens.model == "EQUIRECTANGULAR"
     side = max(2, round(lens.width / np.pi if is_panorama else 2 * camera.mean_focal_length()))

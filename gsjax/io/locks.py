@@ -14,12 +14,9 @@ LOCK = ".lock"
 
 @contextmanager
 def lock_folder(folder: str | Path) -> Iterator[None]:
-    """Keeps a folder for this process until the block ends, or the process does, however that ends.
+    """Keeps a folder for this process until the block ends, or the process does, by a file `LOCK` that stays in it.
 
     On a file system that has no locks, nothing is kept.
-
-    Args:
-        folder: Exists; a file `LOCK` comes into it, and stays.
 
     Raises:
         InputError: Another process has it, or it cannot be written.

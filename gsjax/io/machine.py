@@ -46,8 +46,7 @@ def versions() -> dict[str, str]:
 def peak_memory(path: str | Path = "/proc/self/status") -> int:
     """Most physical memory that this process has held since its program began, bytes.
 
-    Linux's own high-water mark: `ru_maxrss` of a new process begins with that of the one that started it. Elsewhere
-    that has to do.
+    On Linux, `ru_maxrss` of a new process would begin with that of the one that started it.
     """
     match = re.search(r"^VmHWM:\s*(\d+) kB$", _text(path), re.MULTILINE)
     if match:
@@ -93,15 +92,7 @@ def _left_in_limits() -> Iterator[int]:
 
 
 def require_memory(what: str, size: float) -> None:
-    """Refuses what this machine has no room for, before it is begun.
-
-    Args:
-        what: The beginning of the message: a file or an option, and what it requires.
-        size: Bytes that it takes.
-
-    Raises:
-        InputError: They are not free.
-    """
+    """Raises InputError where so many bytes are not free; it begins with `what`: a file or an option, and its need."""
     free = free_memory()
     if size > free:
         raise InputError(f"{what} takes {size / 2**30:.3g} GiB of memory; {max(0, free) / 2**30:.3g} are free")
@@ -109,13 +100,7 @@ def require_memory(what: str, size: float) -> None:
 
 @contextmanager
 def memory_for(what: str, size: float) -> Iterator[None]:
-    """As `require_memory`, for the block: other threads that ask meanwhile wait until there is room for theirs as well.
-
-    What a block has taken already counts twice then, so that rather too few of them run together.
-
-    Raises:
-        InputError: There is no room for it alone.
-    """
+    """As `require_memory`, for the block: other threads that ask meanwhile wait until there is room for theirs too."""
     with _ASKING:
         _ASKING.wait_for(lambda: not _PROMISED or size <= free_memory() - sum(_PROMISED))
         require_memory(what, size)

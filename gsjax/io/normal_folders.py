@@ -27,23 +27,15 @@ def is_recorded(folder: str | Path) -> bool:
 
 
 def network_of(folder: str | Path) -> str | None:
-    """The network that made a folder's maps, by its name; None where they came from elsewhere.
-
-    Raises:
-        InputError: The manifest is damaged.
-    """
+    """The network that made a folder's maps, by its name; None where they came from elsewhere."""
     return _read(Path(folder))["made_by"]["network"] if is_recorded(folder) else None
 
 
 def begin(folder: Path, made_by: Mapping[str, Any]) -> dict[str, Any]:
     """The manifest to continue: that of the folder where the same model made it, else a new one (not yet written).
 
-    Args:
-        folder: Exists.
-        made_by: What decides the maps: `network` (name), `sha256`, `record`, and whatever else; as JSON has it.
-
-    Returns:
-        `made_by`, and `maps`: photo's name -> its `file` and what `add` was given `about` it.
+    It holds `made_by`, what decides the maps (`network`, `sha256`, `record`); and `maps`, which has by a photo's name
+    its `file` and what `add` was given `about` it.
 
     Raises:
         InputError: Another model's maps are there, or files of another origin.
@@ -64,11 +56,7 @@ def begin(folder: Path, made_by: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def add(folder: Path, manifest: dict[str, Any], name: str, file: Path, normals: np.ndarray, about: Any) -> None:
-    """Writes the `[H, W, 3]` map of the photo `name` as `file` (within the folder), then the manifest that lists it.
-
-    Raises:
-        InputError: The disk is full or read-only.
-    """
+    """Writes the `[H, W, 3]` map of the photo `name` as `file` (within the folder), then the manifest that lists it."""
     if not is_recorded(folder):  # First, so that a run killed now is one that can go on.
         json_files.write(folder / MANIFEST, manifest)
     with atomic_path(folder / file) as temporary:
@@ -78,19 +66,12 @@ def add(folder: Path, manifest: dict[str, Any], name: str, file: Path, normals: 
 
 
 def find(scene: str | Path, name: str) -> str:
-    """The folder that `gsjax train --normals` means.
+    """The folder that `gsjax train --normals` means; `name` itself where it is one, or none is found.
 
     Args:
         scene: Folder of the data set.
         name: A folder; or the name of one in the data set, with or without `normals_` before it; or "auto", the only
-            one there that `gsjax normals` made.
-
-    Returns:
-        What was given where that is a folder, else the absolute path of the one in the data set; what is in neither
-        place is returned as it was given.
-
-    Raises:
-        InputError: "auto", and there is none, or more than one.
+            one there that `gsjax normals` made, and InputError where there is none or more than one.
     """
     scene = Path(scene)
     if os.path.isdir(name):
@@ -106,14 +87,7 @@ def find(scene: str | Path, name: str) -> str:
 
 
 def _read(folder: Path) -> dict[str, Any]:
-    manifest = json_files.read(folder / MANIFEST)
-    try:
-        is_valid = isinstance(manifest["made_by"]["network"], str) and isinstance(manifest["maps"], dict)
-    except (TypeError, KeyError):
-        is_valid = False
-    if not is_valid:
-        raise InputError(f"{folder / MANIFEST}: does not say what made the maps")
-    return manifest
+    return json_files.read(folder / MANIFEST, {"made_by": {"network": str}, "maps": {str: object}})
 
 
 def _difference(key: str, before: Any, now: Any) -> str:

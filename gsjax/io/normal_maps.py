@@ -27,7 +27,7 @@ _REDUCTIONS = range(1, 17)  # Whole factors by which a map may be smaller and it
 def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, Callable[[], np.ndarray]]:
     """Readers of the frames' normal maps, each brought to its frame: one map at a time is in memory.
 
-    Each map is read once now. Maps that are missing or cannot be used are left out and named
+    Each map is read once now. Maps that are missing, damaged, not finite or of another view are left out and named
     (`gsjax.io.bad_items`): their frames have a map that says nothing.
 
     A map has its frame's name with the suffix `.npy`, `.npz` (the array `cam`, or the only one) or `.png` (8 or 16
@@ -39,16 +39,11 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
     (`gsjax.io.images.same_shape`) and not of the other's. Where both have one size, the map is the photo's. Maps that
     `gsjax normals` made are always of the undistorted frame (`gsjax.io.normal_folders`).
 
-    Args:
-        directory: Folder of the maps.
-        frames: The frames that need one each.
-
     Returns:
         Frame name -> function that reads [H, W, 3] float32, unit length, exactly zero where the map says nothing.
 
     Raises:
-        InputError: There is no such folder, or less than half of the maps can be used. A map cannot be used where it
-            is missing, damaged, of another view than the frame, or holds values that are not finite.
+        InputError: There is no such folder, or less than half of the maps can be used.
     """
     directory = Path(directory)
     if not os.path.isdir(directory):
@@ -94,7 +89,7 @@ def _reader(file: Path, frame: Frame, undistorted: bool) -> Callable[[], np.ndar
         return partial(_read_undistorted, file, frame, origin)
     if origin is None and abs(size[0] * frame.height / (size[1] * frame.width) - 1) > _ASPECT_TOLERANCE:
         raise InputError(f"{file}: normal map is {size[0]}x{size[1]}, its frame {frame.width}x{frame.height}")
-    return partial(_read_resized, file, frame)
+    return lambda: resize_normals(unit_or_zero(_read(file)), frame.width, frame.height)
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -126,16 +121,12 @@ def _shows_photo(file: Path, size: tuple[int, int], frame: Frame, origin: Origin
     return of_photo
 
 
-def _read_resized(file: Path, frame: Frame) -> np.ndarray:
-    """A map of what the frame shows, at the frame's size."""
-    return resize_normals(_unit(_read(file)), frame.width, frame.height)
-
-
 def _read_undistorted(file: Path, frame: Frame, origin: Origin) -> np.ndarray:
     """A map of the frame's distorted photo, read where the frame's pixels lie in it; the axes are the same."""
     # A larger map is averaged to the frame's scale first, or pixels between those that are read would not count.
     share = frame.width / origin.undistorted[0], frame.height / origin.undistorted[1]
-    unit = _shrunk(_unit(_read(file)), *(max(1, round(side * s)) for side, s in zip(origin.photo, share, strict=True)))
+    width, height = (max(1, round(side * s)) for side, s in zip(origin.photo, share, strict=True))
+    unit = _shrunk(unit_or_zero(_read(file)), width, height)
     positions = origin.positions()
     source = positions * np.array([unit.shape[1], unit.shape[0]], np.float32) - np.float32(0.5)
     mixed = cv2.remap(unit, source, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -156,10 +147,11 @@ def _unit_where_known(mixed: np.ndarray, nearest: np.ndarray) -> np.ndarray:
 
     Zero vectors add nothing to a mean's direction: what is unknown does not bleed into what is known.
     """
-    return np.where(nearest.any(axis=-1, keepdims=True), _unit(mixed, 1e-3), np.float32(0))
+    return np.where(nearest.any(axis=-1, keepdims=True), unit_or_zero(mixed, 1e-3), np.float32(0))
 
 
-def _unit(normals: np.ndarray, shortest: float = 0.0) -> np.ndarray:
+def unit_or_zero(normals: np.ndarray, shortest: float = 0.0) -> np.ndarray:
+    """Unit vectors, float32; one that is not longer than `shortest` becomes zero."""
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     usable = length > shortest
     return np.where(usable, normals / np.where(usable, length, 1), 0).astype(np.float32)

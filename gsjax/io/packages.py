@@ -45,11 +45,7 @@ class Deferred:
 
 
 def require(module: str) -> ModuleType:
-    """Import a package of an extra.
-
-    Raises:
-        MissingPackageError: It is absent. The message names the extra.
-    """
+    """Import a package of an extra; where it is absent, MissingPackageError names the extra."""
     try:
         imported = import_uninterrupted(module)
     except (ImportError, OSError) as error:
@@ -87,11 +83,7 @@ def import_uninterrupted(module: str) -> ModuleType:
 
 
 def check_installed(*modules: str) -> None:
-    """Search packages without loading them.
-
-    Raises:
-        MissingPackageError: One is absent. The message names the extra.
-    """
+    """Search packages without loading them; where one is absent, MissingPackageError names the extra."""
     for module in modules:
         try:
             is_installed = importlib.util.find_spec(module) is not None

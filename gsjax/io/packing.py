@@ -15,10 +15,9 @@ MOST_DEGREE = 3  # Of the harmonics that viewers read from compressed files.
 
 
 def check_packable(path: str | Path, gaussians: Gaussians) -> None:
-    """Whether a compressed file can hold what the Gaussians hold. Infinite logits of opacities are 0 and 1.
+    """Raises InputError where values are not finite, or harmonics of too high a degree for a compressed file.
 
-    Raises:
-        InputError: A field, by name, holds values that are not finite, or the harmonics are of too high a degree.
+    Infinite logits of opacities are 0 and 1.
     """
     for field in fields(gaussians):
         values = getattr(gaussians, field.name)
@@ -36,11 +35,7 @@ def check_packable(path: str | Path, gaussians: Gaussians) -> None:
 
 
 def packed_gaussians(path: Path, **values: Any) -> Gaussians:
-    """The Gaussians of a packed file, float32, of their fields as arrays of any float.
-
-    Raises:
-        InputError: A number is beyond what float32 holds.
-    """
+    """The Gaussians of a packed file, float32, of their fields as arrays of any float."""
     with np.errstate(over="ignore"):
         read = jax.tree.map(lambda array: array.astype(np.float32), Gaussians(**values))
     if not all(np.isfinite(array).all() for array in jax.tree.leaves(read)):
@@ -49,17 +44,10 @@ def packed_gaussians(path: Path, **values: Any) -> Gaussians:
 
 
 def pull_in_outliers(means: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions of which a far one takes no precision from the others.
+    """`[N, 3]` positions of which a far one takes no precision from the others, and `[N]` bool, which of them came in.
 
     The mass are those within `reach` times the distance that nine tenths keep from the middle, the distance being the
     largest along an axis. What lies farther away comes in towards the middle, to the edge of the box of the mass.
-
-    Args:
-        means: `[N, 3]` float64.
-        reach: Far enough that what a scene has is not touched.
-
-    Returns:
-        `[N, 3]` positions, and `[N]` bool, which of them came in.
     """
     if not len(means):
         return means, np.zeros(0, bool)

@@ -13,15 +13,10 @@ MOST_THREADS = 4  # Each holds a photo and what was made of it.
 
 
 def parallel_map(made_of: Callable[[T], R], things: Iterable[T], most_threads: int = MOST_THREADS) -> Iterator[R]:
-    """`map(made_of, things)`, some of them at once: for numpy's work, during which Python lets other threads run.
+    """`map(made_of, things)`, in as many threads as there are cores, or `most_threads`.
 
-    Args:
-        made_of: Called in several threads.
-        things: Read one by one, few more than threads ahead of what has been taken.
-        most_threads: At most so many threads, and no more than cores.
-
-    Raises:
-        Exception: What `made_of` raises of a thing, when it is that thing's turn.
+    Things are read one by one, few more than threads ahead of what has been taken. What `made_of` raises of a thing is
+    raised when it is that thing's turn.
     """
     threads = min(os.cpu_count() or 1, most_threads)
     futures: deque = deque()

@@ -15,22 +15,18 @@ _DRIVE = re.compile(r"[A-Za-z]:/|//")  # Of Windows, once its separators are tho
 
 
 def local_names(listed: Sequence[str], exists: Callable[[str], bool], place: object) -> list[str]:
-    """The names under which the photos that a file lists are found here, or would be.
+    """The names under which the photos that a file, `place`, lists are found here, or would be.
 
     A name that exists stays as it is. Else its backslashes separate folders; and where it is a path of another machine,
     absolute or out of its folder, its last parts name the photo: as many of them as exist, or those in which the
-    listed paths differ.
-
-    Args:
-        listed: As the file has them.
-        exists: Whether there is a photo of a name here.
-        place: The file, which a line on stderr names where last parts are taken.
+    listed paths differ. A line on stderr says so.
     """
     spelled = [name if exists(name) else name.replace("\\", "/") for name in listed]
-    foreign = [name for name in spelled if _is_elsewhere(name) and not exists(name)]
+    foreign = [n for n in spelled if (n.startswith(("/", "../")) or _DRIVE.match(n)) and not exists(n)]
     if not foreign:
         return spelled
-    shared = posixpath.commonpath([posixpath.dirname(name) for name in foreign]) if _are_alike(foreign) else ""
+    are_alike = len({name.startswith("/") for name in foreign}) == 1  # Absolute and other names have no common folder.
+    shared = posixpath.commonpath([posixpath.dirname(name) for name in foreign]) if are_alike else ""
     ends = {name: _end(name, exists) or _below(name, shared) for name in foreign}
     if len(set(ends.values())) < len(ends):  # Two photos would be one.
         ends = {name: _below(name, shared) for name in foreign}
@@ -78,15 +74,6 @@ def spellings(path: Path) -> list[Path]:
     with suppress(UnicodeEncodeError):
         forms.append(os.fsdecode(rest.encode("latin-1")))
     return [path, *(there / form for form in forms)]
-
-
-def _is_elsewhere(name: str) -> bool:
-    return name.startswith(("/", "../")) or _DRIVE.match(name) is not None
-
-
-def _are_alike(names: Sequence[str]) -> bool:
-    """Whether all are absolute or none is: others have no common folder."""
-    return len({name.startswith("/") for name in names}) == 1
 
 
 def _end(name: str, exists: Callable[[str], bool]) -> str | None:

@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io.bad_items import Fault, leave_out
+from gsjax.io.files import stamp
 from gsjax.io.images import (
     check_image,
     cv2,
@@ -53,11 +54,7 @@ class Capture:
 
 
 def readable_photos(photos: Sequence[Photo]) -> list[Photo]:
-    """The photos whose files, and whose masks, are whole (`gsjax.io.bad_items`). All are decoded, once in a process.
-
-    Raises:
-        InputError: Too few are.
-    """
+    """The photos whose files, and whose masks, are whole (`gsjax.io.bad_items`). All are decoded, once in a process."""
     checked = parallel_map(_file_fault, photos)
     reasons = list(tqdm(checked, total=len(photos), desc="checking", unit="photo", leave=False, delay=2))
     faults = [Fault(photo.name, reason) for photo, reason in zip(photos, reasons, strict=True) if reason]
@@ -68,25 +65,16 @@ def readable_photos(photos: Sequence[Photo]) -> list[Photo]:
 def _file_fault(photo: Photo) -> str | None:
     """Why a photo or its mask cannot be decoded; None where both can."""
     files = [path for path in (photo.path, photo.mask_path) if path is not None]
-    return next((fault for path in files if (fault := _decoding_fault(path, _stamp(path)))), None)
+    return next((fault for path in files if (fault := _decoding_fault(path, stamp(path)))), None)
 
 
 @lru_cache(maxsize=2**16)
-def _decoding_fault(path: Path, stamp: tuple[int, int]) -> str | None:
+def _decoding_fault(path: Path, _stamp: tuple[int, int]) -> str | None:
     """Why the file of an image, as it was written at a time, cannot be decoded; None where it can."""
     try:
         check_image(path)
     except InputError as error:
         return str(error)
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    """When a file was written, nanoseconds, and its bytes; zeros where it is absent."""
-    try:
-        status = path.stat()
-    except (OSError, ValueError):  # ValueError: of a name that no disk holds.
-        return 0, 0
-    return status.st_mtime_ns, status.st_size
 
 
 def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:

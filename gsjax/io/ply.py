@@ -25,7 +25,7 @@ from gsjax.io.ply_elements import (
 from gsjax.scene.colors import shares, to_bytes
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.meshes import Mesh
-from gsjax.scene.similarity import as_needed, is_float32, loses_in_float32, spread
+from gsjax.scene.similarity import as_needed, is_float32, loses_in_float32
 
 _MEANS = ["x", "y", "z"]
 _DC = [f"f_dc_{i}" for i in range(3)]
@@ -34,7 +34,6 @@ _QUATS = [f"rot_{i}" for i in range(4)]  # w first
 _RGB = ["red", "green", "blue"]
 _RGB_NAMES = [_RGB, *([f"{kind}_{name}" for name in _RGB] for kind in ("diffuse", "scalar")), ["r", "g", "b"]]
 _GREY = 128
-_ROUNDED = 1e-3  # of the spread of points, by which rounding may move them without a word
 _OF_DISCS = 1e-4  # Of the thinner of a disc's other two deviations: where a file gives it no thickness.
 _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential is still a number.
 
@@ -45,19 +44,9 @@ def write_gaussians(
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
     Means are float, as all viewers expect, but double where float would lose their place (`loses_in_float32`).
-    A pixel filter other than the classic one is stated by a comment, as Brush and splat-transform have it; so is what
-    is known of the place that they lie in.
+    Comments state a pixel filter other than the classic one, as Brush and splat-transform have it, and the place.
     The coefficients `f_rest_*` run channel by channel. Normals are the smallest axes: unit vectors that face the
-    nearest camera or, without cameras, away from the median of the means.
-
-    Args:
-        path: Where.
-        gaussians: What to write.
-        place: What is known of the place that they lie in.
-        cameras: `[C, 3]` centres of cameras, in the coordinates of the means.
-
-    Raises:
-        InputError: The target cannot be written.
+    nearest of the `cameras` (`[C, 3]` centres) or, without cameras, away from the median of the means.
     """
     rest = rest_columns(gaussians.sh_rest)
     count, width = rest.shape
@@ -159,11 +148,7 @@ def _finite_logits(logits: np.ndarray) -> np.ndarray:
 def read_points(path: str | Path, least: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Points `[P, 3]` float64 and colours `[P, 3]` uint8 of a PLY; grey where it has no colours.
 
-    Points that are not finite are left out (`gsjax.io.bad_items`).
-
-    Raises:
-        InputError: The file is missing, no PLY, truncated, without x, y, z, or holds fewer than `least` points, or too
-            few finite ones.
+    Points that are not finite are left out (`gsjax.io.bad_items`). InputError where fewer than `least` are in it.
     """
     path = Path(path)
     vertices, _ = _read_vertices(path)
@@ -175,25 +160,11 @@ def read_points(path: str | Path, least: int = 1) -> tuple[np.ndarray, np.ndarra
         raise InputError(f"{path}: {len(points)} points in it, at least {least} are needed")
     finite = is_float32(points).all(axis=1)
     leave_out_rows(path, "points", finite)
-    _report_rounding(path, vertices, points[finite])
     return points[finite], _point_colors(vertices)[finite]
 
 
-def _report_rounding(path: Path, vertices: np.ndarray, points: np.ndarray) -> None:
-    """One line where the single precision of rows has moved their `[P, 3]` points by a thousandth of their spread."""
-    step = float(np.spacing(np.abs(np.median(points, axis=0)).max().astype(np.float32)))
-    if vertices.dtype["x"].str[1:] == "f4" and 0 < _ROUNDED * spread(points) < step / 2:
-        print_once(
-            f"{path}: its points are in single precision, which there is a grid of {step:g}; save them as doubles, or"
-            " about a nearer origin"
-        )
-
-
 def _point_colors(vertices: np.ndarray) -> np.ndarray:
-    """`[P, 3]` uint8 colours of the rows of a PLY, of numbers of any type; grey where they have none.
-
-    Gaussians have the colours of their centres.
-    """
+    """`[P, 3]` uint8 colours of points, or of the centres of Gaussians; grey where they have none."""
     names = vertices.dtype.names or ()
     rgb = _color_names(names)
     if rgb is not None:
@@ -233,10 +204,7 @@ def _color_names(names: Sequence[str]) -> list[str] | None:
 
 
 def _colors(vertices: np.ndarray, rgb: list[str]) -> np.ndarray:
-    """`[N, 3]` float32 in 0..1 of columns of red, green and blue of any type.
-
-    Floats up to 1 are shares; all other numbers are those of a byte, or of two where they exceed 255.
-    """
+    """`[N, 3]` float32 in 0..1: floats up to 1 are shares, other numbers those of a byte, or of two beyond 255."""
     colors, kind = stack_columns(vertices, rgb), vertices.dtype[rgb[0]]
     if kind.itemsize == 1:
         return colors / np.float32(np.iinfo(kind).max)
@@ -251,10 +219,7 @@ def _read_vertices(path: Path) -> tuple[np.ndarray, str]:
 
 
 def encode_mesh(mesh: Mesh, place: Place = UNPLACED) -> bytes:
-    """Coloured triangles as a binary PLY: vertices with their colours, then faces.
-
-    Positions are double where float would lose them. A comment states what is known of the place that they lie in.
-    """
+    """Coloured triangles as a binary PLY, positions double where float would lose them; a comment states the place."""
     kind, stored = ("double", "<f8") if loses_in_float32(mesh.vertices) else ("float", "<f4")
     vertices = np.empty(mesh.num_vertices, [("position", stored, 3), ("color", "u1", 3)])
     vertices["position"], vertices["color"] = mesh.vertices, mesh.colors

@@ -51,11 +51,7 @@ def rest_columns(sh_rest: np.ndarray) -> np.ndarray:
 
 
 def rest_names(path: Path, names: tuple[str, ...]) -> list[str]:
-    """The columns `f_rest_*` in their order.
-
-    Raises:
-        InputError: They are of no degree, or one is missing.
-    """
+    """The columns `f_rest_*` in their order."""
     count = sum(name.startswith("f_rest_") for name in names)
     if count not in _REST_COUNTS:
         raise InputError(f"{path}: has {count} columns f_rest_*, degrees 0-4 have one of {_REST_COUNTS}")

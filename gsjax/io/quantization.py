@@ -20,9 +20,6 @@ def codebook(values: np.ndarray) -> np.ndarray:
 
     The range with the largest squared error about its mean is split at that mean until there are 256 (the median cut
     of Heckbert 1982, in one dimension). A far value costs one entry, however far it lies.
-
-    Args:
-        values: Any shape, finite.
     """
     ordered = np.sort(np.asarray(values, np.float64), axis=None)
     if not len(ordered):
@@ -44,20 +41,15 @@ def nearest_labels(values: np.ndarray, entries: np.ndarray) -> np.ndarray:
     return np.searchsorted((entries[1:] + entries[:-1]) / 2, values).astype(np.uint8)
 
 
-def palette(rows: np.ndarray, most: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """At most so many rows that stand for all of them, by k-means in two levels.
-
-    Args:
-        rows: `[N, D]` float32, finite.
-        most: The very rows are taken where they are no more.
-        seed: Of the rows that the clusters begin with.
+def palette(rows: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most so many rows that stand for all `[N, D]` float32, by k-means in two levels; all where they are no more.
 
     Returns:
         `[M, D]` float32, and `[N]` int64, which of them stands for each.
     """
     if len(rows) <= most:
         return rows, np.arange(len(rows))
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     coarse = _clustered(_some(rows, _LEARNED_FROM, random), math.isqrt(most), _COARSE_ROUNDS, random)[0]
     owners = np.concatenate([vq(rows[i : i + _BLOCK], coarse)[0] for i in range(0, len(rows), _BLOCK)])
     centers, labels, count = [], np.empty(len(rows), np.int64), 0

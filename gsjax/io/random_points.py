@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from gsjax.io.messages import print_once
-
 COUNT = 30_000
 _SYNTHETIC_HALF_WIDTH = 1.3  # 3DGS, Blender scenes
 _SYNTHETIC_FAR = 10.0  # half widths: cameras that stand farther off look at something else
@@ -11,19 +9,13 @@ _SEED = 0
 
 
 def points_in_view(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Random points in a cube around the place nearest to all optical axes.
+    """Random points `[P, 3]` float64 around the place nearest to all optical axes, and colours uint8 of middle tones.
 
-    The cube is as large as the median distance of the cameras from that place; no point is nearer to a camera than a
-    quarter of it.
-
-    Args:
-        viewmats: `[V, 4, 4]` float64 world to camera, OpenCV axes.
-
-    Returns:
-        `[P, 3]` float64 world and `[P, 3]` uint8 of middle tones.
+    Their cube is as large as the median distance of the cameras `[V, 4, 4]` from that place; no point is nearer to a
+    camera than a quarter of it.
     """
     rng = np.random.default_rng(_SEED)
-    centers, (focus, reach) = _centers(viewmats), _looked_at(viewmats)
+    centers, focus, reach = _looked_at(viewmats)
     points = focus + rng.uniform(-reach, reach, (2 * COUNT, 3))
     nearest = np.min([np.linalg.norm(points - center, axis=1) for center in centers], axis=0)
     clear = points[nearest > 0.25 * reach][:COUNT]
@@ -31,11 +23,8 @@ def points_in_view(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def points_in_synthetic_cube(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Random points in [-1.3, 1.3]^3, as in 3DGS; where cameras do not stand around that cube, those in their view.
-
-    Arguments and what is returned are those of `points_in_view`.
-    """
-    focus, reach = _looked_at(viewmats)
+    """As `points_in_view`, but in [-1.3, 1.3]^3, as in 3DGS, where cameras stand around that cube."""
+    _, focus, reach = _looked_at(viewmats)
     if np.abs(focus).max() > _SYNTHETIC_HALF_WIDTH or not 1 < reach / _SYNTHETIC_HALF_WIDTH < _SYNTHETIC_FAR:
         return points_in_view(viewmats)
     rng = np.random.default_rng(_SEED)
@@ -43,33 +32,18 @@ def points_in_synthetic_cube(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return points, _mid_tones(rng)
 
 
-def tell_of_random_points(place: object) -> None:
-    """Print one line: which file has no points, and what is taken instead."""
-    print_once(f"points: {place} has none; training starts from {COUNT:,} random ones where the cameras look")
+def _looked_at(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Centres `[V, 3]`, the place `[3]` nearest to all optical axes, and the median distance of the cameras from it.
 
-
-def _centers(viewmats: np.ndarray) -> np.ndarray:
-    return -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3])
-
-
-def _looked_at(viewmats: np.ndarray) -> tuple[np.ndarray, float]:
-    """The place `[3]` nearest to all optical axes, and the median distance of the cameras from it."""
-    centers = _centers(viewmats)
-    focus = _nearest_to_axes(centers, viewmats[:, 2, :3])
-    return focus, float(np.median(np.linalg.norm(centers - focus, axis=1))) or 1.0
-
-
-def _nearest_to_axes(centers: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """The point of least squared distance to all optical axes.
-
-    Axes that are all but parallel meet nowhere in particular; a weak pull to one spread of the cameras ahead of
-    them decides then.
+    Of parallel axes the place is one spread of the cameras ahead.
     """
+    centers, axes = -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3]), viewmats[:, 2, :3]
     spread = np.linalg.norm(centers - centers.mean(0), axis=1).max() or 1.0
     ahead = centers.mean(0) + spread * axes.mean(0)
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     weak = 1e-3 * len(centers) * np.eye(3)
-    return np.linalg.solve(across.sum(0) + weak, np.einsum("nij,nj->i", across, centers) + weak @ ahead)
+    focus = np.linalg.solve(across.sum(0) + weak, np.einsum("nij,nj->i", across, centers) + weak @ ahead)
+    return centers, focus, float(np.median(np.linalg.norm(centers - focus, axis=1))) or 1.0
 
 
 def _mid_tones(rng: np.random.Generator) -> np.ndarray:

@@ -5,6 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.bad_items import Fault, leave_out, read_usable
 from gsjax.io.georeference_files import read_place
-from gsjax.io.image_circles import with_image_circles
 from gsjax.io.image_folders import locate_photos, masks_in
+from gsjax.io.images import read_image
+from gsjax.io.lenses import Lens, is_circular, principal_point
 from gsjax.io.messages import print_once
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, readable_photos
 from gsjax.io.splits import AUTO, listed, mark_held_out
@@ -23,6 +25,17 @@ from gsjax.scene import Scene
 from gsjax.scene import similarity as similarities
 from gsjax.scene.georeference import Place
 from gsjax.scene.similarity import Similarity
+
+_name = attrgetter("name")
+
+# The image circle of a fisheye lens, beyond which its photos are black and say nothing.
+_LOOKED_AT = 3  # photos of a lens
+_BLACK = 16  # of 255, at most, in every channel
+_LIT, _STRAY = 0.02, 3  # of a ring's pixels, and how many more: so many are not black where there is a picture
+_RINGS = 400  # from the principal point to the farthest corner
+_CORNER = 0.95  # of that: a picture that goes farther is no circle
+_MARGIN = 1.5  # pixels: at its rim the circle is mixed with black
+_LEAST = 0.25  # of the shorter side: a smaller circle is no lens's, and all is dark
 
 
 def load_scene(
@@ -41,17 +54,14 @@ def load_scene(
 
     A COLMAP model is searched in `sparse/0` (or a larger one in `sparse/1` and so on), `sparse`, `colmap/sparse/0`
     and the folder itself; its photos in `images/` or next to it, or in reduced copies (`gsjax.io.image_folders`).
-    Photos of another size than their camera says rescale its intrinsics where the shape fits
-    (`gsjax.io.images.same_shape`). Lens distortion is removed (`gsjax.io.lenses`). Masks come from a folder `masks/` (a
-    mask has the photo's name, that name with `.png` after it, or its stem with `.png`), from `mask_path` in
-    `transforms.json`, or from the photos' alpha channel, which always becomes the matte. Truth in the folder is listed
-    too (`gsjax.io.truth`).
+    Photos of another size than their camera says rescale its intrinsics where the shape fits. Lens distortion is
+    removed. Masks come from a folder `masks/` (`gsjax.io.image_folders.masks_in`), from `mask_path` in
+    `transforms.json`, or from the photos' alpha channel, which always becomes the matte. Truth is listed too.
 
     Args:
         root: Folder of the data set.
         downscale: Images, masks, truth and intrinsics are this many times smaller, at least 1.
-        folder_masks: What masks from files mean: "valid", pixels that are 0 are ignored; "matte", the object's
-            coverage.
+        folder_masks: What masks from files mean: "valid", 0 is ignored; "matte", the object's coverage.
         images: Folder of the photos, absolute or in `root`; None: they are searched.
         hold_out: Which photos are for scoring only, see `gsjax.io.splits.mark_held_out`.
         photos: Text file of the names of those that are taken, one a line, as `hold_out` may be one; None: all. Which
@@ -91,11 +101,7 @@ def load_scene(
 
 
 def list_photos(root: str | Path, images: str | None = None) -> list[Photo]:
-    """The photos of a data set by name, with the files that they lie in.
-
-    Raises:
-        InputError: As of `load_scene`.
-    """
+    """The photos of a data set by name, with the files that they lie in."""
     root = Path(root)
     return readable_photos(_checked_photos(root, locate_photos(root, _read_capture(root).photos, images)))
 
@@ -137,7 +143,11 @@ def _without_repeated(photos: Sequence[Photo]) -> list[Photo]:
     """The photos, sorted by name; of those that are listed repeatedly the first, or none where cameras differ."""
     by_name = {name: list(same) for name, same in groupby(photos, key=_name)}
     repeated = {name: same for name, same in by_name.items() if len(same) > 1}
-    differ = {name for name, (first, *more) in repeated.items() if not all(_is_same(first, other) for other in more)}
+    differ = {
+        name
+        for name, (first, *more) in repeated.items()
+        if not all(first.lens == other.lens and np.array_equal(first.viewmat, other.viewmat) for other in more)
+    }
     messages = {name: f"{same[0].path}: is listed more than once" for name, same in repeated.items()}
     alike = [Fault(name, messages[name]) for name, same in repeated.items() if name not in differ for _ in same[1:]]
     leave_out("listed photos", alike, len(photos), needed=0)
@@ -145,14 +155,6 @@ def _without_repeated(photos: Sequence[Photo]) -> list[Photo]:
         "photos", [Fault(name, f"{messages[name]}, with several cameras") for name in sorted(differ)], len(by_name)
     )
     return [same[0] for name, same in by_name.items() if name not in differ]
-
-
-def _is_same(photo: Photo, other: Photo) -> bool:
-    return photo.lens == other.lens and np.array_equal(photo.viewmat, other.viewmat)
-
-
-def _name(photo: Photo) -> str:
-    return photo.name
 
 
 def _selected(photos: list[Photo], file: str | None) -> list[Photo]:
@@ -174,3 +176,30 @@ def _with_folder_masks(photos: list[Photo], folder: Path) -> list[Photo]:
     if all(photo.mask_path is None for photo in with_masks):
         raise InputError(f"{folder}: no mask in it has the name of an image, for example {photos[0].name}.png")
     return with_masks
+
+
+def with_image_circles(photos: Sequence[Photo]) -> list[Photo]:
+    """The photos, those of circular fisheyes with lenses that know how far their picture goes: a few are read."""
+    circular = {lens for lens in {photo.lens for photo in photos} if is_circular(lens)}
+    measured_lenses = {lens: replace(lens, reach=_reach(lens, photos)) for lens in circular}
+    return [replace(photo, lens=measured_lenses.get(photo.lens, photo.lens)) for photo in photos]
+
+
+def _reach(lens: Lens, photos: Sequence[Photo]) -> float:
+    """As `Lens.reach`: to the outermost ring that is not black in one of the photos; infinite where all are dark."""
+    own = [photo for photo in photos if photo.lens == lens]
+    spread = {round(index) for index in np.linspace(0, len(own) - 1, _LOOKED_AT)}
+    reach = max(_lit_reach(lens, read_image(own[index].path)[0]) for index in spread)
+    return reach if reach * lens.width > _LEAST * min(lens.width, lens.height) else math.inf
+
+
+def _lit_reach(lens: Lens, colors: np.ndarray) -> float:
+    """Of a photo's width, how far from the principal point it is not black; infinite where it is not at its corners."""
+    height, width = colors.shape[:2]
+    x, y = principal_point(lens) * [width / lens.width, height / lens.height]
+    radii = np.hypot(np.arange(width) + 0.5 - x, (np.arange(height) + 0.5 - y)[:, None])
+    rings = (radii / radii.max() * (_RINGS - 1)).astype(int)
+    pixels, lit = (np.bincount(rings.ravel(), weights, _RINGS) for weights in (None, (colors > _BLACK).any(-1).ravel()))
+    outermost = np.flatnonzero(lit > _LIT * pixels + _STRAY).max(initial=0)
+    share = outermost / (_RINGS - 1)
+    return math.inf if share > _CORNER else (share * radii.max() - _MARGIN) / width

@@ -33,7 +33,7 @@ _LONGEST_SIDE = 16383  # of a WebP
 _MOST_META = 2**20  # bytes of meta.json
 _BYTES_PER_NUMBER = 20  # of memory: it is a byte of an image, a float64 and a float32
 _DAMAGES = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError, zlib.error)
-_FILES = {"files": [str]}
+_FILES = {"files": [str, 1]}
 _SHAPE = {
     "version": int,
     "count": int,
@@ -126,15 +126,9 @@ def write_sog(path: str | Path, gaussians: Gaussians) -> int:
 
 
 def read_sog(path: str | Path) -> Gaussians:
-    """Reads SOG of version 2 from its archive, any degree 0-3.
+    """Reads SOG of version 2 from its archive, any degree 0-3, as numpy float32 arrays.
 
     Opacities of 0 and 255 get finite logits, a quarter of a step within 0 and 1.
-
-    Returns:
-        Gaussians of numpy float32 arrays.
-
-    Raises:
-        InputError: The file is no SOG, is of another version, or is truncated or damaged.
     """
     path = Path(path)
     try:
@@ -177,7 +171,7 @@ def _read(path: Path, archive: zipfile.ZipFile, meta: dict[str, Any]) -> Gaussia
 
     lower, upper = (pixels(name)[:count, :3].astype(np.float64) for name in meta["means"]["files"])
     low, high = (np.asarray(meta["means"][end], np.float64) for end in ("mins", "maxs"))
-    quats, scales, colors = (pixels(_first(path, meta, part))[:count] for part in ("quats", "scales", "sh0"))
+    quats, scales, colors = (pixels(meta[part]["files"][0])[:count] for part in ("quats", "scales", "sh0"))
     if (quats[:, 3] < _FIRST_TAG).any():
         raise InputError(f"{path}: quaternions whose largest component is none of four")
     sh_rest = np.zeros((count, 0, 3))
@@ -203,12 +197,6 @@ def _read(path: Path, archive: zipfile.ZipFile, meta: dict[str, Any]) -> Gaussia
         sh_rest=sh_rest,
         pixel_filter="mip" if meta.get("model") == "antialiased" or meta.get("antialias") else "classic",
     )
-
-
-def _first(path: Path, meta: dict[str, Any], part: str) -> str:
-    if not meta[part]["files"]:
-        raise InputError(f"{path}: meta.json: {part}.files is empty")
-    return meta[part]["files"][0]
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:

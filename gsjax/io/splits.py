@@ -73,18 +73,10 @@ def _stated_split(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str
 
 
 def listed(file: Path, names: Sequence[str], *, absent: str = "", empty: str = "") -> set[str]:
-    """The names in a text file, one a line, all of which must be among `names`.
+    """The names in a text file, one a line, all of which must be among `names`, or InputError is raised.
 
-    Blank lines are ignored, and those that begin with #, unless that is a name.
-
-    Args:
-        file: The list.
-        names: Of all photos.
-        absent: What else the option takes, for the message where there is no such file.
-        empty: Likewise, where it names no photo.
-
-    Raises:
-        InputError: There is no such file, or it names no photo or one that there is not.
+    Blank lines are ignored, and those that begin with #, unless that is a name. `absent` is the end of the message
+    where there is no such file, `empty` where it names no photo.
     """
     if not os.path.lexists(file):
         raise InputError(f"{file}: no such list of photos{absent}")

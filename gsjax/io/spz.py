@@ -1,7 +1,7 @@
 """SPZ, Niantic's compressed Gaussians (https://github.com/nianticlabs/spz): written as version 3, read as 2, 3 and 4.
 
 Version 3 is what the viewers of today read: those built on three.js know no later one. A header of 16 bytes and the
-arrays of `_LAYOUT`, one after another, are compressed as a whole by gzip; version 4 has a header of 32 bytes and
+arrays of `_Header.layout`, one after another, are compressed as a whole by gzip; version 4 has a header of 32 bytes and
 compresses each array by zstandard. The axes are x right, y up, z back, half a turn about x from those of a PLY.
 """
 
@@ -54,16 +54,13 @@ class _Header(NamedTuple):
 def write_spz(path: str | Path, gaussians: Gaussians) -> int:
     """Writes Gaussians as SPZ version 3. Positions get as many fractional bits as the farthest leaves, 23 at most.
 
-    The farthest of the mass: the few that lie so far out that no other had its precision come in (`pull_in_outliers`).
+    The few that lie so far out that no other had its precision come in first (`pull_in_outliers`).
 
     The steps: logs of scales 1/16, from -10 to 95/16; opacities 1/255; degree 0 0.0261, from -3.33 to 3.33; degree 1
     1/16, higher ones 1/8, from -1 to 127/128; quaternions 0.0014. The mip filter is the format's flag for antialiasing.
 
     Returns:
         How many Gaussians hold values that the format cannot reach.
-
-    Raises:
-        InputError: As of `spz_bytes`, or the target cannot be written.
     """
     packed, clipped = spz_bytes(gaussians, path)
     with atomic_path(path) as temporary:
@@ -113,15 +110,9 @@ def spz_bytes(gaussians: Gaussians, path: str | Path) -> tuple[bytes, int]:
 
 
 def read_spz(path: str | Path) -> Gaussians:
-    """Reads SPZ of version 2, 3 or 4, any degree 0-4.
+    """Reads SPZ of version 2, 3 or 4, any degree 0-4, as numpy float32 arrays in the axes of a PLY.
 
     Opacities of 0 and 255 get finite logits, a quarter of a step within 0 and 1. Extensions are left out.
-
-    Returns:
-        Gaussians of numpy float32 arrays, in the axes of a PLY.
-
-    Raises:
-        InputError: The file is no SPZ, is of another version, has axes of its own, or is truncated or damaged.
     """
     path = Path(path)
     data = read_bytes(path)
@@ -193,7 +184,7 @@ def _read_gzip(path: Path, data: bytes) -> tuple[_Header, list[bytes], bytes]:
             ends = list(accumulate((header.count * width for width in header.layout()), initial=0))
             if ends[-1] > _MOST_RATIO * len(data):
                 raise InputError(f"{path}: truncated, {header.count} Gaussians need {ends[-1]} bytes unpacked")
-            _require_room(path, header)
+            require_memory(f"{path}: {header.count} Gaussians", _BYTES_PER_BYTE * ends[-1])
             body = unpacking.read(ends[-1] + _MOST_EXTENSIONS + 1)  # No more, however much there is.
     except (EOFError, OSError, zlib.error) as error:
         raise InputError(f"{path}: truncated or damaged ({error})") from error
@@ -216,7 +207,7 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Header, list[bytes], byte
     if table < start or len(data) < place:
         raise InputError(f"{path}: truncated or damaged, it ends within the table of its arrays")
     zstandard = require("zstandard")
-    _require_room(path, header)
+    require_memory(f"{path}: {header.count} Gaussians", _BYTES_PER_BYTE * sum(sizes))
     unpacked = []
     for index, size in enumerate(filled):
         packed, promised = struct.unpack_from("<QQ", data, table + 16 * index)
@@ -232,11 +223,6 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Header, list[bytes], byte
         place += packed
     arrays = iter(unpacked)
     return header, [next(arrays) if size else b"" for size in sizes], data[start:table]
-
-
-def _require_room(path: Path, header: _Header) -> None:
-    """InputError where the Gaussians that a header promises have no room in this machine's memory."""
-    require_memory(f"{path}: {header.count} Gaussians", _BYTES_PER_BYTE * header.count * sum(header.layout()))
 
 
 def _extension_types(records: bytes) -> set[int]:

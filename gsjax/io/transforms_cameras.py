@@ -35,11 +35,7 @@ _UNEVEN = 1e-2  # share by which rounding may make the axes of a camera differ i
 
 
 def viewmat_of(file: Path, entry: dict[str, Any]) -> np.ndarray:
-    """World to camera, `[4, 4]` float64; a rotation that is off by rounding, or scaled evenly, is made exact.
-
-    Raises:
-        InputError: The matrix is none, or more than that.
-    """
+    """World to camera, `[4, 4]` float64; a rotation that is off by rounding, or scaled evenly, is made exact."""
     where = f"{file}: transform_matrix of {entry['file_path']}"
     try:
         matrix = np.array(entry["transform_matrix"], np.float64)
@@ -61,17 +57,8 @@ def viewmat_of(file: Path, entry: dict[str, Any]) -> np.ndarray:
     return np.linalg.inv(camera_to_world @ _OPENGL_TO_OPENCV)
 
 
-def has_size(entry: dict[str, Any]) -> bool:
-    """Whether an entry says how large its photo is."""
-    return bool(entry.get("w") and entry.get("h"))
-
-
 def lens_of(file: Path, entry: dict[str, Any], path: Path) -> Lens:
-    """The lens of a frame, as large as the entry says, or else as its photo at `path` is.
-
-    Raises:
-        InputError: A number is missing or none, the camera model unknown, or the photo needed and unreadable.
-    """
+    """The lens of a frame, as large as the entry says, or else as its photo at `path` is."""
     where = f"{file}: camera of {entry['file_path']}"
     name = entry.get("camera_model") or ("OPENCV_FISHEYE" if entry.get("is_fisheye") else "OPENCV")
     model = name.upper() if isinstance(name, str) else ""
@@ -96,10 +83,7 @@ def lens_of(file: Path, entry: dict[str, Any], path: Path) -> Lens:
 
 
 def depth_of(entry: dict[str, Any], path: Path | None) -> DepthFile | None:
-    """The depth map of a frame, in millimetres or as `depth_unit_scale_factor` says (nerfstudio); None of no path.
-
-    The factor is checked where the map is used: `metres` is NaN of what is no number.
-    """
+    """The depth map of a frame, in millimetres or as `depth_unit_scale_factor` says (nerfstudio); NaN of no number."""
     if path is None:
         return None
     factor = entry.get(_DEPTH_UNIT)
@@ -110,11 +94,8 @@ def depth_of(entry: dict[str, Any], path: Path | None) -> DepthFile | None:
 
 
 def _size(where: str, entry: dict[str, Any], path: Path) -> tuple[int, int]:
-    if not has_size(entry):
-        return image_size(path)
     width, height = _number(where, entry, "w"), _number(where, entry, "h")
-    assert width is not None and height is not None, "has_size"
-    return int(width), int(height)
+    return (int(width), int(height)) if width and height else image_size(path)
 
 
 def _focal_lengths(where: str, entry: dict[str, Any], width: int, height: int) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
 from gsjax.io.images import same_shape
+from gsjax.io.normal_maps import unit_or_zero
 from gsjax.scene import Frame, Truth
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.similarity import IDENTITY, Similarity
@@ -33,8 +34,7 @@ def load_truth(
         place: From the coordinates of the files to those of the world.
 
     Raises:
-        InputError: A file is damaged, lacks an array, or does not fit its frame; names the file. Reading a map raises
-            it where what follows the header is damaged.
+        InputError: A file is damaged, lacks an array, or does not fit its frame; also when a map is read.
     """
     root = Path(root)
     depths, normals, labels = {}, {}, {}
@@ -60,7 +60,7 @@ def _surface(root: Path, similarity: Similarity, place: Place) -> dict[str, Any]
     arrays = read_arrays(file, "points", "normals", "label")
     return {
         "points": similarity.points_to_local(place.points_to_world(arrays["points"])),
-        "point_normals": _unit_or_zero(place.directions_to_world(arrays["normals"]).astype(np.float32)),
+        "point_normals": unit_or_zero(place.directions_to_world(arrays["normals"]).astype(np.float32)),
         "point_labels": arrays["label"].astype(np.uint8),
         "mesh": mesh if mesh.is_file() else None,
     }
@@ -80,7 +80,7 @@ def _read_depth(file: Path, frame: Frame, scale: float) -> np.ndarray:
 
 
 def _read_normals(file: Path, frame: Frame) -> np.ndarray:
-    return _unit_or_zero(_read(file, "cam", frame, np.float32))
+    return unit_or_zero(_read(file, "cam", frame, np.float32))
 
 
 def _read(file: Path, key: str, frame: Frame, dtype: type) -> np.ndarray:
@@ -90,9 +90,3 @@ def _read(file: Path, key: str, frame: Frame, dtype: type) -> np.ndarray:
     rows = ((np.arange(frame.height) + 0.5) * height / frame.height).astype(int)
     columns = ((np.arange(frame.width) + 0.5) * width / frame.width).astype(int)
     return array[rows[:, None], columns].astype(dtype)
-
-
-def _unit_or_zero(vectors: np.ndarray) -> np.ndarray:
-    """Unit vectors, float32; a zero vector stays zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return (vectors / np.where(length > 0, length, 1)).astype(np.float32)

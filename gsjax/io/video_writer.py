@@ -3,16 +3,13 @@
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
-from gsjax.io.packages import Deferred
-
-cv2: Any = Deferred("cv2")
+from gsjax.io.images import cv2
 
 CODECS = {".mp4": "vp09", ".webm": "VP90"}
 """VP9 in both: the wheels of OpenCV have no H.264, whose encoder is under the GPL."""
@@ -26,14 +23,9 @@ def is_video(path: str | Path) -> bool:
 
 
 def write_video(path: str | Path, pictures: Iterable[np.ndarray], fps: float, width: int, height: int) -> None:
-    """Write a video, whole or not at all.
+    """Write pictures `[height, width, 3]` uint8, of even sides, as a video, whole or not at all.
 
-    Args:
-        path: Its suffix is one of `SUFFIXES`. A GIF repeats for ever.
-        pictures: `[height, width, 3]` uint8 each.
-        fps: Pictures a second. Those of a GIF are shown for hundredths of a second, 0.02 at least.
-        width: Pixels, even.
-        height: Pixels, even.
+    A GIF repeats for ever, and shows each picture for hundredths of a second, 0.02 at least.
 
     Raises:
         InputError: The codec is not in this OpenCV, or the file cannot be written.

@@ -10,7 +10,7 @@ from transforms_ring import edit, write
 
 from gsjax.errors import InputError
 from gsjax.io.depth_maps import open_depth_maps
-from gsjax.io.depth_windows import on_grid, window_of
+from gsjax.io.depth_windows import Window, on_grid, window_of
 from gsjax.io.scenes import load_scene
 from gsjax.planning.depth_supervision import measured_depth
 from gsjax.scene import Pixels, frame_of
@@ -68,12 +68,12 @@ def test_zero_and_what_is_not_finite_is_unknown_without_confidence(tmp_path):
 
 def test_of_a_smaller_map_each_value_goes_to_the_pixel_that_holds_it_and_nowhere_else():
     coarse = np.arange(1, 7, dtype=np.float32).reshape(2, 3)  # four to a value
-    depth, trust = on_grid((coarse, np.full((2, 3), 9, np.uint8)), FRAMES[0], 1)
+    depth, trust = on_grid((coarse, np.full((2, 3), 9, np.uint8)), FRAMES[0], 1, Window(0, 0, 3, 2))
     expected = np.zeros((HEIGHT, WIDTH), np.float32)
     expected[2::4, 2::4] = coarse
     np.testing.assert_array_equal(depth, expected)
     np.testing.assert_array_equal(trust, 9 * (expected > 0))
-    np.testing.assert_array_equal(on_grid((coarse, trust[2::4, 2::4]), FRAMES[0], 4)[0], coarse)
+    np.testing.assert_array_equal(on_grid((coarse, trust[2::4, 2::4]), FRAMES[0], 4, Window(0, 0, 3, 2))[0], coarse)
 
 
 def write_array(file):

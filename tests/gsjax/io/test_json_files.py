@@ -57,7 +57,7 @@ def test_a_fault_is_named_at_its_place(tmp_path, data, message):
 def test_what_is_no_json_is_told(tmp_path):
     for data, message in (
         ("{}".encode("utf-16"), "is no JSON (not in UTF-8 from byte 0 on)"),
-        (b"[" * 1_000_000, "is nested deeper than 50 levels"),
+        (b"[" * 1_000_000, "is nested too deeply"),
     ):
         (tmp_path / "a.json").write_bytes(data)
         with pytest.raises(InputError) as caught:

@@ -6,10 +6,10 @@ import pycolmap
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io.image_circles import with_image_circles
 from gsjax.io.images import write_image
 from gsjax.io.lenses import Lens, check_lens, pinhole_views, resize_lens
 from gsjax.io.photos import Photo
+from gsjax.io.scenes import with_image_circles
 
 WIDTH, HEIGHT = 160, 120
 CENTER = (78.0, 61.5)

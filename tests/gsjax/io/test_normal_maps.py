@@ -217,5 +217,5 @@ def test_maps_are_found_where_they_were_placed(tmp_path):
         np.testing.assert_allclose(loaded, np.roll(smooth_normals(), index, axis=1), atol=1e-3)
         assert degrees(loaded, np.roll(smooth_normals(), index, axis=1)).max() < 0.03, "half precision"
     (tmp_path / "normals.json").write_text('{"maps": {}}')
-    with pytest.raises(InputError, match="normals.json: does not say what made the maps"):
+    with pytest.raises(InputError, match="normals.json: lacks .made_by."):
         normal_folders.network_of(tmp_path)
