@@ -40,6 +40,13 @@ def set_word(address, place, value):
 
 
 @inlined
+def set_words(address, place, *values):
+    """Writes words from a place on."""
+    for i in range(len(values)):
+        set_word(address, place + i, values[i])
+
+
+@inlined
 def argument(frame, place):
     """The record of an argument's buffer."""
     return word(word(frame, ARGUMENTS), place)
@@ -157,10 +164,7 @@ def finish(frame, had_memory):
     if had_memory:
         return 0
     request = words_on_stack(4)
-    set_word(request, 0, 28)
-    set_word(request, 1, 0)
-    set_word(request, 2, address_of("rasterizer_no_memory"))
-    set_word(request, 3, _RESOURCE_EXHAUSTED)
+    set_words(request, 0, 28, 0, address_of("rasterizer_no_memory"), _RESOURCE_EXHAUSTED)
     return call(word(word(frame, _API), _CREATE_ERROR), request)
 
 
@@ -180,11 +184,7 @@ def share(frame, task, job, items):
     shared, helpers = allocate(8 * 5), max(min(_threads(frame), items) - 1, 0)
     if shared == 0:
         return False
-    set_word(shared, _HOLDERS, helpers + 2)
-    set_word(shared, _NEXT, 0)
-    set_word(shared, _DONE, 0)
-    set_word(shared, _ITEMS, items)
-    set_word(shared, _JOB, job)
+    set_words(shared, _HOLDERS, helpers + 2, 0, 0, items, job)
     fetch_add(shared + 8 * _HOLDERS, _schedule_helpers(frame, task, shared, helpers) - helpers)
     call(task, shared)
     while fetch_add(shared + 8 * _DONE, 0) < items:
@@ -230,10 +230,7 @@ def _threads(frame):
     """Threads that XLA has, this one among them; 1 where the number is unknown."""
     count, request = words_on_stack(1), words_on_stack(4)
     set_word(count, 0, 1)
-    set_word(request, 0, 32)
-    set_word(request, 1, 0)
-    set_word(request, 2, word(frame, _CONTEXT))
-    set_word(request, 3, count)
+    set_words(request, 0, 32, 0, word(frame, _CONTEXT), count)
     _forget(frame, call(word(word(frame, _API), _COUNT_THREADS), request))
     return word(count, 0)
 
@@ -242,11 +239,7 @@ def _threads(frame):
 def _schedule_helpers(frame, task, shared, helpers):
     """How many threads were scheduled to help."""
     request = words_on_stack(5)
-    set_word(request, 0, 40)
-    set_word(request, 1, 0)
-    set_word(request, 2, word(frame, _CONTEXT))
-    set_word(request, 3, task)
-    set_word(request, 4, shared)
+    set_words(request, 0, 40, 0, word(frame, _CONTEXT), task, shared)
     for scheduled in range(helpers):
         if _forget(frame, call(word(word(frame, _API), _SCHEDULE), request)):
             return scheduled
@@ -259,8 +252,6 @@ def _forget(frame, error):
     if error == 0:
         return False
     request = words_on_stack(3)
-    set_word(request, 0, 24)
-    set_word(request, 1, 0)
-    set_word(request, 2, error)
+    set_words(request, 0, 24, 0, error)
     call(word(word(frame, _API), _DESTROY_ERROR), request)
     return True

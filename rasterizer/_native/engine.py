@@ -17,6 +17,8 @@ from rasterizer.compositing import Blended, Engine, Static
 from rasterizer.ewa import Projection
 from rasterizer.rules import Rules
 
+BANDS, CHANNELS, MAX_IMAGE_CHANNELS = _harmonics.BANDS, _harmonics.CHANNELS, _similarity.MAX_IMAGE_CHANNELS
+
 
 def _call(handler, results, *arguments, **how):
     name = f"rasterizer_{handler.__name__}"

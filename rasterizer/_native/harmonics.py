@@ -17,7 +17,7 @@ from rasterizer._native.calls import (
     note_results,
     only_introduces,
     rows_of,
-    set_word,
+    set_words,
     share,
     word,
 )
@@ -222,9 +222,7 @@ def differentiate_bands(shared):
 def read_arguments(frame, job):
     """Writes sizes and addresses of directions, coefficients and weights; returns the number of blocks."""
     rows = length(argument(frame, 0), 0)
-    set_word(job, _ROWS, rows)
-    set_word(job, _BANDS, length(argument(frame, 1), 1))
-    set_word(job, _WEIGHT_ROWS, length(argument(frame, 2), 0))
+    set_words(job, _ROWS, rows, length(argument(frame, 1), 1), length(argument(frame, 2), 0))
     note_arguments(frame, 0, 3, job, _DIRS)
     return (rows + BLOCK - 1) // BLOCK
 

@@ -22,6 +22,7 @@ from rasterizer._native.calls import (
     release,
     result,
     set_word,
+    set_words,
     share,
     word,
 )
@@ -324,14 +325,11 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
         capacity: Length of that memory.
         offsets: The same of the offsets; `OFFSETS`.
     """
-    set_word(job, _FRAME, frame)
-    set_word(job, _ARGUMENTS, arguments)
-    set_word(job, SPLATS, splats)
-    set_word(job, _CAPACITY, capacity)
-    set_word(job, OFFSETS, offsets if offsets != 0 else allocate(4 * (tiles + 1)))
+    offsets = offsets if offsets != 0 else allocate(4 * (tiles + 1))
+    set_words(job, _FRAME, frame, arguments, splats, capacity, offsets)
     count = length(list_argument(job, 2), 0)
     workspace, at_members = allocate(LINE * (count + 1) + 8 * tiles + (4 + SPAN + 12) * count), 0
-    done = workspace != 0 and word(job, OFFSETS) != 0
+    done = workspace != 0 and offsets != 0
     if done:
         set_word(job, _RECORDS, (workspace + LINE - 1) // LINE * LINE)
         set_word(job, _COUNTS, word(job, _RECORDS) + LINE * count)

@@ -27,6 +27,7 @@ from rasterizer._native.calls import (
     release,
     result,
     set_word,
+    set_words,
     share,
     word,
 )
@@ -208,8 +209,7 @@ def unblend_band(job, band):
         set_word(job, _LACKED, 1)
     release(at_ids)
     release(at_near)
-    set_word(job, _BANDS + 2 * band, at_places)
-    set_word(job, _BANDS + 2 * band + 1, at_sums)
+    set_words(job, _BANDS + 2 * band, at_places, at_sums)
 
 
 @inlined
@@ -282,13 +282,10 @@ def begin(job, lists_job, frame, listed, tiles):
     set_word(job, _FRAME, frame)
     note_arguments(frame, count_arguments(frame) - 2, 2, job, _SIZES)
     note_arguments(frame, 0, 1, job, _ROWS)
-    set_word(job, _COUNT, length(argument(frame, 0), 0))
-    set_word(job, _GIVEN, length(argument(frame, 0), 1))
-    set_word(job, _TILES, tiles)
+    set_words(job, _COUNT, length(argument(frame, 0), 0), length(argument(frame, 0), 1), tiles)
     if listed == LISTED:
         done = list_splats(lists_job, frame, word(frame, ARGUMENTS) + 8, tiles, 0, 0, 0)
-        set_word(job, _SPLATS, word(lists_job, SPLATS))
-        set_word(job, _OFFSETS, word(lists_job, OFFSETS))
+        set_words(job, _SPLATS, word(lists_job, SPLATS), word(lists_job, OFFSETS))
         return done
     note_arguments(frame, 1, 2, job, _SPLATS)
     return True

@@ -20,6 +20,7 @@ from rasterizer._native.calls import (
     only_introduces,
     rows_of,
     set_word,
+    set_words,
     share,
     size,
     word,
@@ -310,8 +311,7 @@ def differentiate_blocks(shared):
 def read_arguments(frame, job):
     """Writes sizes and addresses of Gaussians, cameras and options; returns the number of blocks."""
     rows = length(argument(frame, 0), 0)
-    set_word(job, _ROWS, rows)
-    set_word(job, _CAMERAS, length(argument(frame, 4), 0))
+    set_words(job, _ROWS, rows, length(argument(frame, 4), 0))
     note_arguments(frame, 0, 7, job, _MEANS)
     return (rows + BLOCK - 1) // BLOCK
 

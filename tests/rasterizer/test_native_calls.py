@@ -98,7 +98,7 @@ def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, ca
     def missing():
         raise ImportError("No module named 'numba'")
 
-    monkeypatch.setattr(engines, "_native", missing)
+    monkeypatch.setattr(engines, "load_loops", missing)
     engines._native_or_none.cache_clear()
     try:
         assert [engines.resolve("auto") for _ in range(3)] == ["xla"] * 3
