@@ -124,8 +124,7 @@ def override(data: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, A
     """`data` with every `dotted.key=value` set; a value is read as JSON where it is JSON, else as a string.
 
     List items are reached by name (`phases.surface.steps=100`) or number (`phases.0.steps=100`) where `data` holds the
-    list. Whether a key exists is for
-    `parse` to say.
+    list. Whether a key exists is for `parse` to say.
 
     Raises:
         InputError: An assignment without `=`, or through something that has no keys.

@@ -170,16 +170,9 @@ def finish(frame, had_memory):
 
 @inlined
 def share(frame, task, job, items):
-    """Does all items of a job, with as many of XLA's threads as come to help.
+    """Does all items of a job, by the task at an address, with as many of XLA's threads as come to help.
 
-    Args:
-        frame: Of the call.
-        task: Address of a `task`, which does items until none is left.
-        job: What the task needs to know: a word.
-        items: How many there are.
-
-    Returns:
-        Whether there was memory to begin.
+    The job is a word, which the task reads. Returns whether there was memory to begin.
     """
     shared, helpers = allocate(8 * 5), max(min(_threads(frame), items) - 1, 0)
     if shared == 0:

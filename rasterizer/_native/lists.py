@@ -76,14 +76,7 @@ def least_sigma(x_low, y_low, x_high, y_high, ellipse):
 def order_by_depth(depths, visible, count, order, keys, other_order, other_keys):
     """Writes the ids of what is visible to `order`, front to back, equal depths by id; returns how many there are.
 
-    Args:
-        depths: `[count]` the bits of the depths as int32: they order as the depths do, since these are positive.
-        visible: `[count]` bytes.
-        count: How many splats there are.
-        order: `[count]` int32, written.
-        keys: `[count]` int32, workspace, as the other two.
-        other_order: Workspace.
-        other_keys: Workspace.
+    All but `visible` are `[count]` int32. The bits of depths order as these do, since they are positive.
     """
     num_visible = 0
     for splat in range(count):
@@ -316,14 +309,8 @@ def write_offsets(job, tiles):
 def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
     """Lists the splats. Whether there was memory for all that is written on the way.
 
-    Args:
-        job: Address of `LIST_WORDS` words, written.
-        frame: Of XLA's call.
-        arguments: Address of the records of the arguments of `lists`.
-        tiles: How many lists there are.
-        splats: Address of the lists; 0 for memory of their length, whose address is then the job's `SPLATS`.
-        capacity: Length of that memory.
-        offsets: The same of the offsets; `OFFSETS`.
+    Where `splats` and `offsets` are 0, lists and offsets come to fresh memory, at the job's `SPLATS` and `OFFSETS`. The
+    job is the address of `LIST_WORDS` words, `arguments` that of the records of the arguments of `lists`.
     """
     offsets = offsets if offsets != 0 else allocate(4 * (tiles + 1))
     set_words(job, _FRAME, frame, arguments, splats, capacity, offsets)

@@ -270,12 +270,7 @@ def share_step(job, step, items):
 def begin(job, lists_job, frame, listed, tiles):
     """Writes what both passes read, and lists the splats where the caller gave no lists. Whether there was memory.
 
-    Args:
-        job: Address of `_JOB_WORDS` words, written.
-        lists_job: Address of `LIST_WORDS` words, written.
-        frame: Of the call: rows, the lists or the arguments of `lists`, the pass's own arguments, sizes, rules.
-        listed: How many arguments the lists are.
-        tiles: How many tiles there are.
+    A frame has rows, `listed` arguments (the lists or the arguments of `lists`), the pass's own, sizes and rules.
     """
     for place in range(_JOB_WORDS):
         set_word(job, place, 0)

@@ -283,23 +283,11 @@ def unblend_list(
 def unblend_tile(
     rows, splats, center_x, center_y, side, on, in_front, probes, rules, light, last, d_features, d_light, sums
 ):
-    """Walks back over a tile's list, from the last splat that shows.
+    """Walks back over a tile's list, from the last splat that shows; arguments as in `blend_tile`, which wrote some.
 
-    Args:
-        rows: As in `blend_tile`, and what is not named here.
-        splats: The list.
-        center_x: Of the tile.
-        center_y: The same along y.
-        side: Of the tile.
-        on: Channels that are blended to the end.
-        in_front: Channels that end in front.
-        probes: Channels of zeros behind these, which `rows` do not have.
-        rules: `Thresholds`.
-        light: `[P]`, as `blend_tile` wrote it.
-        last: `[P]`, too.
-        d_features: `[D + probes, P]` dL/dfeatures.
-        d_light: `[P]` dL/dlight.
-        sums: Like `rows` with probes, added to: moments of dL/dsigma about the splats' means, and dL/dchannels.
+    `probes` are channels of zeros behind the others, which `rows` do not have. `d_features` `[D + probes, P]` and
+    `d_light` `[P]` are dL/dfeatures and dL/dlight. Added to `sums`, which are like `rows` with probes: moments of
+    dL/dsigma about the splats' means, and dL/dchannels.
     """
     through = at_least_three(on)
     blocks, pixels, count = floats_on_stack(BLOCKS), side * side, 0
