@@ -34,10 +34,7 @@ def cluster_sizes(means: np.ndarray) -> np.ndarray:
     """`[N]` how many Gaussians hang together with each, itself included.
 
     Two hang together where they are among each other's nearest and no farther apart than a few times the spacing around
-    either of them; a dense object and a sparse background may be apart, and both be large.
-
-    Args:
-        means: `[N, 3]` finite.
+    either of them; a dense object and a sparse background may be apart, and both be large. Means are finite.
     """
     count = len(means)
     if count <= SPACING:
@@ -58,12 +55,9 @@ def most_of_small(count: int) -> int:
 
 
 def giants(means: np.ndarray, scales: np.ndarray, centers: np.ndarray | None) -> np.ndarray:
-    """`[N]` bool: which Gaussians are so large that they can show nothing.
+    """`[N]` bool: which Gaussians, of `[N, 3]` means and standard deviations, are so large that they can show nothing.
 
-    Args:
-        means: `[N, 3]`.
-        scales: `[N, 3]` standard deviations.
-        centers: `[V, 3]` of the cameras. None: the size of the whole is the measure.
+    The measure is how near the cameras come, whose centres are `[V, 3]`; without any, the size of the whole.
     """
     largest = scales.max(axis=1)
     if centers is None:
