@@ -41,17 +41,6 @@ def _check_interface() -> None:
 _check_interface()
 
 
-def cache_folder() -> Path:
-    """The folder of this version, in the one that NUMBA_CACHE_DIR names, else next to the programs of XLA."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gsjax" / "loops"
-    return (Path(config.CACHE_DIR) if config.CACHE_DIR else home) / _version_hash()
-
-
-def _version_hash() -> str:
-    sources = [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
-    return hashlib.sha256(b"".join([numba.__version__.encode(), *sources])).hexdigest()[:16]
-
-
 class ByContent(UserProvidedCacheLocator):
     """Finds a function by the name of `FOLDER`; numba's own locators depend on the path of the source as well."""
 
@@ -65,9 +54,15 @@ class ByContent(UserProvidedCacheLocator):
 
 
 def _writable_folder() -> Path | None:
-    """The cache folder; None where there is no home or it cannot be written: every process compiles anew."""
+    """The folder of this version, in the one that NUMBA_CACHE_DIR names, else next to the programs of XLA.
+
+    None where there is no home or it cannot be written: every process compiles anew.
+    """
+    sources = [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
+    version = hashlib.sha256(b"".join([numba.__version__.encode(), *sources])).hexdigest()[:16]
     try:
-        folder = cache_folder()
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gsjax" / "loops"
+        folder = (Path(config.CACHE_DIR) if config.CACHE_DIR else home) / version
         folder.mkdir(parents=True, exist_ok=True)
     except (RuntimeError, OSError):
         return None
