@@ -29,14 +29,9 @@ def parse(cls: type[T], data: Mapping[str, Any], *, where: str = "config") -> T:
     `Literal`, `tuple[X, ...]`, `tuple[X, Y]` and `dict[str, X]`. Ranges are checked by the dataclasses themselves:
     a `ValueError` of a `__post_init__` becomes an `InputError` that says where.
 
-    Args:
-        cls: The dataclass.
-        data: Nested mapping, as JSON gives it.
-        where: What to call the data in messages: a file name, or `--set`.
-
     Raises:
-        InputError: An unknown or missing key, or a value of the wrong type or range. The message holds `where`,
-            the dotted key, and the nearest known key or the expected type.
+        InputError: An unknown or missing key, or a value of the wrong type or range. The message holds `where`, which
+            is the name of the data's file, or `--set`; the dotted key, and the nearest known one or the expected type.
     """
     return _Parser(cls, where).dataclass(cls, data, "")
 

@@ -14,10 +14,8 @@ RIDGE = 1e-3
 def color_behind(background: Array, camera: Camera) -> Array:
     """`[3]` or `[H, W, 3]`: what a camera sees where nothing is in front, for the background of a render.
 
-    Args:
-        background: `[3]` colour; or `[(L + 1)^2, 3]` SH coefficients of a colour max(0, SH(direction) + 0.5) of the
-            direction of the ray in the world, L at most 4. Differentiable to both.
-        camera: The view.
+    The background is a colour `[3]`; or `[(L + 1)^2, 3]` SH coefficients of a colour max(0, SH(direction) + 0.5) of the
+    ray's direction in the world, L at most 4. Differentiable to both arguments.
     """
     if background.ndim == 1:
         return background

@@ -89,14 +89,9 @@ def are_floaters(gaussians: Gaussians, views: Iterable[CoarseDepth]) -> np.ndarr
     A view *supports* a Gaussian if the depth that it shows at the Gaussian's mean is the Gaussian's own, up to
     `SAME_SURFACE` of it and `DEVIATIONS`; it *looks through* the Gaussian if that depth is greater. A floater has fewer
     than `SUPPORTING` views, and either `LOOKING_THROUGH` and more that look through it, or one that has it nearer than
-    `NEAR` of the median depth that it shows. What is hidden behind a surface has neither, and is none.
+    `NEAR` of the median depth that it shows. What is hidden behind a surface, or not finite, is none.
 
-    Args:
-        gaussians: N of them; what is not finite is no floater.
-        views: Depths that these Gaussians show, see `gsjax.rendering.coarse_depths`; read one by one.
-
-    Returns:
-        `[N]` bool, numpy.
+    Views have the depths that these Gaussians show, and are read one by one. Returns `[N]` bool, numpy.
     """
     means, shapes = np.asarray(gaussians.means, np.float64), np.asarray(covariances(gaussians), np.float64)
     usable = np.isfinite(means).all(axis=1) & np.isfinite(shapes).all(axis=(1, 2))

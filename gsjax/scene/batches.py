@@ -128,14 +128,9 @@ def with_photo_numbers(data: Batches) -> Batches:
 
 
 def feed(data: Batches, *, room: int) -> Callable[[Sequence[int], Sequence[int]], list[Batch]]:
-    """A function that brings photos to the device: all at once where they fit, else each before its step.
+    """A function that brings photos to the device: all at once where they fit in `device_room`, else before their step.
 
-    Args:
-        data: The photos.
-        room: Bytes of the device's memory that photos may take, see `device_room`.
-
-    Returns:
-        (indices, indices of the next step) -> the photos on the device; the same bits either way.
+    It is (indices, indices of the next step) -> the photos on the device; the same bits either way.
     """
     if data.num_bytes <= room:
         resident = jax.device_put(data.views)

@@ -22,13 +22,8 @@ pycolmap = require("pycolmap")
 def write_dataset(model: Any, photos: Sequence[SourcePhoto], folder: Path, progress: Progress) -> None:
     """Write `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read; panoramas stay whole.
 
-    Mattes become the alpha of PNGs; masks, and pixels that the undistorted photo does not cover, `masks/`.
-
-    Args:
-        model: `pycolmap.Reconstruction` in the sensors' frames; image ids count `photos` from 1.
-        photos: The photos.
-        folder: Where to write.
-        progress: Makes a progress bar.
+    Mattes become the alpha of PNGs; masks, and pixels that the undistorted photo does not cover, `masks/`. The model is
+    a `pycolmap.Reconstruction` in the sensors' frames; its image ids count the photos from 1.
     """
     upright = pycolmap.Reconstruction()
     names: set[str] = set()

@@ -37,10 +37,8 @@ def read_focal(details: Mapping[int, Any]) -> Focal:
 def usable_prior(camera: CameraKey, cameras: Collection[CameraKey], guess: float) -> tuple[float | None, str]:
     """Return the focal length in pixels that a camera starts from, or None and the reason why EXIF's is ignored.
 
-    Args:
-        camera: Of the photos.
-        cameras: All cameras of the set: they show whether a maker's 35 mm equivalent includes the digital zoom.
-        guess: Pixels, by EXIF without its digital zoom.
+    The guess is in pixels, by EXIF without its digital zoom. Whether a maker's 35 mm equivalent includes that zoom, all
+    `cameras` of the set show.
     """
     *_, focal, width, height = camera
     if focal.zoom != 1 and not (focal.film_35 and (includes := _includes_zoom(camera, cameras))):
