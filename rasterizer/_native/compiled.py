@@ -73,8 +73,7 @@ FOLDER = _writable_folder()
 OPTIONS: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
 
 # Compiled once, and inlined by LLVM wherever it is called. Python never calls it, which saves its wrappers.
-INLINED = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **OPTIONS}
-inlined = numba.njit(**INLINED)
+inlined = numba.njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)
 
 
 def handler(function: Callable) -> Any:

@@ -46,7 +46,7 @@ from rasterizer._native.tiles import (
     CHANNELS,
     GEOMETRY,
     REACH,
-    at_least_three,
+    THREE,
     blend_tile,
     reach_along_y,
     unblend_tile,
@@ -104,7 +104,7 @@ def gather(job, from_tile, to_tile):
     """
     rows, offsets = floats_of(job, _ROWS), int32s_of(job, _OFFSETS)
     count, on, in_front, width, _ = shape_of(job)
-    through, row_size, copies = at_least_three(on), word(job, _GIVEN), 0
+    through, row_size, copies = max(on, THREE), word(job, _GIVEN), 0
     start, pairs = np.int64(offsets[from_tile]), np.int64(offsets[to_tile]) - offsets[from_tile]
     at_places, at_ids, at_near = allocate(4 * count), allocate(4 * pairs), allocate(4 * min(pairs, count) * width)
     if at_places == 0 or at_ids == 0 or at_near == 0:
@@ -143,7 +143,7 @@ def shape_of(job):
     sizes, row_size = int32s_of(job, _SIZES), word(job, _GIVEN)
     in_front = np.int64(sizes[_IN_FRONT])
     on = row_size - GEOMETRY - in_front
-    return word(job, _COUNT), on, in_front, CHANNELS + at_least_three(on) + in_front, np.int64(sizes[_SIDE])
+    return word(job, _COUNT), on, in_front, CHANNELS + max(on, THREE) + in_front, np.int64(sizes[_SIDE])
 
 
 @inlined
@@ -217,7 +217,7 @@ def add_chunk(job, chunk):
     """Adds what the bands summed for some of the rows, and applies the chain rule of `compositing.chain_to_rows`."""
     rows, d_rows, row_size = floats_of(job, _ROWS), floats_of(job, _D_ROWS), word(job, _GIVEN)
     count, on, in_front, width, _ = shape_of(job)
-    through, probes = at_least_three(on), probes_of(job)
+    through, probes = max(on, THREE), probes_of(job)
     for splat in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
         row, total = floats_at(rows, splat * row_size), floats_at(d_rows, splat * (row_size + probes))
         for c in range(row_size + probes):

@@ -245,21 +245,15 @@ def gradient_in_view(job, camera, first, count, g, opacity):
     more_x, more_y = covariance_gradient(view, lens, conic, to_det, to_sharp)
     to_axes, to_scales, to_row_x, to_row_y = axes_gradient(g, view, lens, plus(to_x, more_x), plus(to_y, more_y), to_z)
     to_mean = mean_gradient(view, lens, center, depth, to_row_x, to_row_y)
-    usable = is_usable(job, g, view, lens, opacity)
-    return where_three(usable, to_mean), where_four(usable, quat_gradient(g, to_axes)), where_three(usable, to_scales)
+    usable, to_quat = is_usable(job, g, view, lens, opacity), quat_gradient(g, to_axes)
+    (x, y, z), w = where_three(usable, to_quat[1:]), where(usable, to_quat[0], ZERO)
+    return where_three(usable, to_mean), (w, x, y, z), where_three(usable, to_scales)
 
 
 @inlined
 def where_three(mask, vectors):
     """Three vectors, and zero where the mask does not hold."""
     return where(mask, vectors[0], ZERO), where(mask, vectors[1], ZERO), where(mask, vectors[2], ZERO)
-
-
-@inlined
-def where_four(mask, vectors):
-    """Four vectors, and zero where the mask does not hold."""
-    (x, y, z), w = where_three(mask, vectors[1:]), where(mask, vectors[0], ZERO)
-    return w, x, y, z
 
 
 @inlined

@@ -239,15 +239,10 @@ def differentiate_tiles(shared):
 
 @inlined
 def write_images(frame, job):
-    """Writes size and addresses of the first three arguments: image, target and mask."""
+    """Writes size and addresses of the first three arguments: image, target and mask; returns the number of tiles."""
     for axis in range(3):
         set_word(job, _HEIGHT + axis, length(argument(frame, 0), axis))
     note_arguments(frame, 0, 3, job, _IMAGES)
-
-
-@inlined
-def num_tiles(job):
-    """Tiles of the images."""
     return tiles_across(job) * ((word(job, _HEIGHT) + TILE_ROWS - 1) // TILE_ROWS)
 
 
@@ -257,10 +252,10 @@ def ssim(frame):
     if only_introduces(frame):
         return 0
     job = words_on_stack(_JOB_WORDS)
-    write_images(frame, job)
+    tiles = write_images(frame, job)
     note_results(frame, 0, 2, job, _SUMS)
     set_word(job, _MEANS, 4)
-    return finish(frame, share(frame, address_of("rasterizer_compare_tiles"), job, num_tiles(job)))
+    return finish(frame, share(frame, address_of("rasterizer_compare_tiles"), job, tiles))
 
 
 @handler
@@ -269,8 +264,8 @@ def ssim_gradient(frame):
     if only_introduces(frame):
         return 0
     job = words_on_stack(_JOB_WORDS)
-    write_images(frame, job)
+    tiles = write_images(frame, job)
     note_arguments(frame, 3, 2, job, _SLOPES)
     note_results(frame, 0, 1, job, _GRADIENT)
     set_word(job, _MEANS, 3)
-    return finish(frame, share(frame, address_of("rasterizer_differentiate_tiles"), job, num_tiles(job)))
+    return finish(frame, share(frame, address_of("rasterizer_differentiate_tiles"), job, tiles))

@@ -52,12 +52,6 @@ FAR, MARGIN = 1e9, np.float32(1e-3)  # pixels
 
 
 @inlined
-def at_least_three(on):
-    """Channels that are blended to the end, with those of zeros that are added to have three."""
-    return max(on, THREE)
-
-
-@inlined
 def reach_along_y(conic_xx, conic_xy, conic_yy, opacity, alpha_min):
     """How far from its mean a splat's alpha can pass the cut, pixels; `FAR` where the conic has too few digits."""
     xx, xy, yy = np.float64(conic_xx), np.float64(conic_xy), np.float64(conic_yy)
@@ -190,7 +184,7 @@ def blend_tile(
         last: `[P]` int32, written: the place in the list of the last splat that shows; -1 for none.
         median: `[P]` int32, written: the same of the last that shows with more than half the light before it.
     """
-    through = at_least_three(on)
+    through = max(on, THREE)  # with channels of zeros, where there are fewer
     blocks, pixels = floats_on_stack(BLOCKS), side * side
     begin_blocks(blocks, side, through + in_front)
     for y in range(side):
@@ -289,7 +283,7 @@ def unblend_tile(
     `d_light` `[P]` are dL/dfeatures and dL/dlight. Added to `sums`, which are like `rows` with probes: moments of
     dL/dsigma about the splats' means, and dL/dchannels.
     """
-    through = at_least_three(on)
+    through = max(on, THREE)
     blocks, pixels, count = floats_on_stack(BLOCKS), side * side, 0
     begin_blocks(blocks, side, through + in_front + probes)
     for y in range(side):

@@ -31,12 +31,6 @@ _JOB_WORDS = 7
 
 
 @inlined
-def blocks(count):
-    """How many blocks so many numbers fill."""
-    return (count + BLOCK - 1) // BLOCK
-
-
-@inlined
 def check(job, begin, count):
     """Notes a NaN or an infinity among so many numbers: zero times such a number is NaN, and any other is zero."""
     numbers, total = rows_of(job, _GRADIENTS, begin, 1), ZERO
@@ -65,7 +59,7 @@ def all_finite(frame):
         note_arguments(frame, place, 1, job, _GRADIENTS)
         if count <= BLOCK:
             check(job, 0, count)
-        elif not share(frame, address_of("rasterizer_check_blocks"), job, blocks(count)):
+        elif not share(frame, address_of("rasterizer_check_blocks"), job, (count + BLOCK - 1) // BLOCK):
             has_memory = False
     flags(result(frame, 0))[0] = word(job, _IS_BAD) == 0
     return finish(frame, has_memory)
@@ -100,9 +94,10 @@ def adam(frame):
     if flags(argument(frame, 5))[0]:
         return 0
     job, count = words_on_stack(_JOB_WORDS), size(argument(frame, 0))
+    blocks = (count + BLOCK - 1) // BLOCK
     set_word(job, _COUNT, count)
     note_results(frame, 0, 1, job, _PARAMETERS)
     note_arguments(frame, 1, 1, job, _GRADIENTS)
     note_results(frame, 1, 2, job, _MU)
     note_arguments(frame, 4, 1, job, _NUMBERS)
-    return finish(frame, share(frame, address_of("rasterizer_update_blocks"), job, blocks(count)))
+    return finish(frame, share(frame, address_of("rasterizer_update_blocks"), job, blocks))

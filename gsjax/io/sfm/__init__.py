@@ -25,22 +25,16 @@ _LITTLE_ROOM = 2**24  # bytes: a full disk may have so many free again, after a 
 class Reconstruction(TypedDict, total=False):
     """Options of `reconstruct` that a person chooses.
 
-    Attributes:
-        frames: How many frames to take of a video, 100 where it is absent; a shorter video gives all that it has.
-        panoramas: The photos, or the video's frames, are equirectangular: 360 degrees across, 180 down. They are
-            written whole, with the camera model EQUIRECTANGULAR, which `gsjax.io.scenes` reads as six pinhole faces.
-        mask_below: Of panoramas: mask what is so many degrees and more below the horizon, where the operator is.
-        features: "sift", or "aliked" or "disk" by OpenCV 5 and the user's own file of `weights`.
-        weights: Of ALIKED or DISK, an ONNX file.
-        matcher_weights: Of LightGlue for ALIKED, an ONNX file. Absent: nearest descriptors match.
+    Panoramas are equirectangular, 360 degrees across and 180 down. They are written whole, with the camera model
+    EQUIRECTANGULAR, which `gsjax.io.scenes` reads as six pinhole faces.
     """
 
-    frames: int
-    panoramas: bool
-    mask_below: float
-    features: str
-    weights: str | Path
-    matcher_weights: str | Path
+    frames: int  # to take of a video, 100 where it is absent; a shorter video gives all that it has
+    panoramas: bool  # whether the photos, or the video's frames, are some
+    mask_below: float  # of panoramas: mask what is so many degrees and more below the horizon, where the operator is
+    features: str  # "sift", or "aliked" or "disk" by OpenCV 5 and the user's own file of `weights`
+    weights: str | Path  # of ALIKED or DISK, an ONNX file
+    matcher_weights: str | Path  # of LightGlue for ALIKED, an ONNX file; absent: nearest descriptors match
 
 
 FILES: Final = ("weights", "matcher_weights")  # options that name one
