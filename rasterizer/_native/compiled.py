@@ -9,7 +9,7 @@ import logging
 import os
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -76,14 +76,14 @@ OPTIONS: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
 inlined = numba.njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)
 
 
-def handler(function: Callable) -> Any:
+def handler(function: Any) -> Any:
     """A call of XLA's by the function's name: from the address of its frame to 0, or to the address of an error."""
     compiled: Any = numba.cfunc(types.int64(types.int64), cache=FOLDER is not None, **OPTIONS)(function)
     jax.ffi.register_ffi_target(f"rasterizer_{function.__name__}", jax.ffi.pycapsule(compiled.ctypes), platform="cpu")
     return compiled
 
 
-def task(function: Callable) -> Any:
+def task(function: Any) -> Any:
     """What `calls.share` has threads do, given the address of what they share; `address_of` has it by its name."""
     compiled: Any = numba.cfunc(types.void(types.int64), cache=FOLDER is not None, **OPTIONS)(function)
     define(f"rasterizer_{function.__name__}", compiled.address)
