@@ -29,14 +29,9 @@ def parse(cls: type[T], data: Mapping[str, Any], *, where: str = "config") -> T:
     `Literal`, `tuple[X, ...]`, `tuple[X, Y]` and `dict[str, X]`. Ranges are checked by the dataclasses themselves:
     a `ValueError` of a `__post_init__` becomes an `InputError` that says where.
 
-    Args:
-        cls: The dataclass.
-        data: Nested mapping, as JSON gives it.
-        where: What to call the data in messages: a file name, or `--set`.
-
     Raises:
-        InputError: An unknown or missing key, or a value of the wrong type or range. The message holds `where`,
-            the dotted key, and the nearest known key or the expected type.
+        InputError: An unknown or missing key, or a value of the wrong type or range. The message holds `where`, which
+            is the name of the data's file, or `--set`; the dotted key, and the nearest known one or the expected type.
     """
     return _Parser(cls, where).dataclass(cls, data, "")
 
@@ -124,8 +119,7 @@ def override(data: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, A
     """`data` with every `dotted.key=value` set; a value is read as JSON where it is JSON, else as a string.
 
     List items are reached by name (`phases.surface.steps=100`) or number (`phases.0.steps=100`) where `data` holds the
-    list. Whether a key exists is for
-    `parse` to say.
+    list. Whether a key exists is for `parse` to say.
 
     Raises:
         InputError: An assignment without `=`, or through something that has no keys.

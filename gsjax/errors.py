@@ -18,7 +18,6 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str):
-        """One line of it."""
         super().__init__(one_line(message))
 
 

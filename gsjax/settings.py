@@ -49,23 +49,18 @@ class Weights(Mapping[str, float]):
         self._by_name = {**PLAIN, **parse_numbers(weights, where="Weights")}
 
     def __getitem__(self, name: str) -> float:
-        """The weight of a term that was named."""
         return self._by_name[name]
 
     def __iter__(self) -> Iterator[str]:
-        """The names."""
         return iter(self._by_name)
 
     def __len__(self) -> int:
-        """How many are named."""
         return len(self._by_name)
 
     def __hash__(self) -> int:
-        """Equal weights have equal hashes."""
         return hash(frozenset(self._by_name.items()))
 
     def __repr__(self) -> str:
-        """As it is written."""
         return f"Weights({', '.join(f'{name}={weight}' for name, weight in self.items())})"
 
 
@@ -83,7 +78,6 @@ class Phase:
     surface_scale: int = 1  # photos of the steps with those terms are this many times smaller still
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_lowest(self, steps=0, image_scale=1, surface_every=1, surface_scale=1)
         if not 0 <= self.cull_below <= 1:
@@ -108,7 +102,6 @@ class Rates:
     final_share: float = 1.0  # of all rates but the means', reached log-linearly in the last third of `decay_steps`
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         rates = ("sh_dc", "sh_rest", "opacities", "scales", "quats")
         check_lowest(self, means=MEANS_FINAL, **dict.fromkeys(rates, 0))
@@ -132,7 +125,6 @@ class Density:
     reset_every: int = 3000  # and, over a white background, at `start`; 0: never
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_lowest(self, start=0, stop=0, every=1, gradient=0, reset_every=0)
         for name in ("full_by", "replace"):
@@ -149,7 +141,6 @@ class Logging:
     checkpoint_every: int = 500  # and at the end of every phase
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
@@ -208,7 +199,6 @@ class Photos:
     cpu_pixels: int | None = None  # of a photo on a CPU, most, where no downscale is given; None: any number
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_lowest(self, longest_side=1)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
@@ -231,7 +221,6 @@ class Supervision:
     # are given; 0: there is no stereo
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_lowest(self, depth_weight=0, stereo_weight=0)
         if self.depth is None and self.depth_unit is not None:
@@ -262,7 +251,6 @@ class Model:
     background: Literal["white", "black", "random"] = "black"
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_lowest(self, max_gaussians=1, far_points=0, stereo_points=0)
         if not 0 <= self.sh_degree <= 4:
@@ -281,7 +269,6 @@ class Schedule:
     dropout: float = 0.0  # share of the Gaussians that each step leaves out, for few photos far apart
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_lowest(self, views_per_step=1, sh_every=1)
         if not 0 <= self.dropout < 1:
@@ -306,7 +293,6 @@ class EffectChoice:
     sky_weight: float = 0.1  # of the term `sky`, where photos show any
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_lowest(self, sky_weight=0)
         named_effects(self.names)
@@ -357,7 +343,6 @@ class Settings:
         return super().__new__(cls)
 
     def __post_init__(self):
-        """Check types and ranges."""
         declare_types(self)
         check_seed(self.seed)
         if self.supervision.depth is not None and self.schedule.vanilla:

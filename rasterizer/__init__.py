@@ -7,7 +7,7 @@ from rasterizer.compositing import Front
 from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, prepare
 from rasterizer.ewa import DepthMode, Projection
-from rasterizer.features import blended_depth, depth_channels, median_depth
+from rasterizer.features import blended_depth, camera_normals, depth_channels, median_depth
 from rasterizer.gsplat import (
     fully_fused_projection,
     isect_offset_encode,
@@ -22,7 +22,6 @@ from rasterizer.harmonics import (
     spherical_harmonics_l1_plus,
     upper_bands,
 )
-from rasterizer.normals import camera_normals
 from rasterizer.projection import project
 from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, SMOOTH, Rules
 from rasterizer.updates import Moments, adam, all_finite

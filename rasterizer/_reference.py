@@ -61,16 +61,9 @@ def composite(
     rules: Rules,
     front: Front | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Blend all visible splats at all pixels.
+    """Blend all visible splats of C cameras at all pixels.
 
-    Args:
-        projection: Splats of C cameras.
-        opacities: `[C, N]`.
-        features: `[C, N, D]`. Where the projection has slopes, the last one is the centres' depth.
-        width: Image width. Static.
-        height: Image height. Static.
-        rules: Thresholds. Static.
-        front: How many of the last features end with the first layers, and where. Static.
+    Opacities are `[C, N]`, features `[C, N, D]`; where the projection has slopes, the last one is the centres' depth.
 
     Returns:
         `[C, H, W, D]` blended features on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat

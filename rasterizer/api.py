@@ -20,6 +20,7 @@ from rasterizer.ewa import DepthMode, Projection, RasterizeMode
 from rasterizer.features import (
     RenderMode,
     blended_depth,
+    camera_normals,
     center_channels,
     depth_channels,
     drawable,
@@ -28,7 +29,6 @@ from rasterizer.features import (
     median_depth,
 )
 from rasterizer.gsplat import Info
-from rasterizer.normals import camera_normals
 from rasterizer.projection import project
 from rasterizer.rules import GSPLAT, Rules
 

@@ -23,15 +23,9 @@ def cut_alpha(unclamped: Array, sigma: Array, rules: Rules) -> Array:
 
 
 def blend_splat(signed_t: Array, alpha: Array, rules: Rules) -> tuple[Array, Array]:
-    """One splat in front of all that is left.
+    """The splat's weight, of its alpha as cut, and the signed transmittance behind it.
 
-    Args:
-        signed_t: Transmittance so far, negative where the pixel has stopped: no flag array is carried.
-        alpha: Alpha of the splat, cut.
-        rules: Where a pixel stops.
-
-    Returns:
-        The splat's weight, and the signed transmittance behind it.
+    Transmittance is negative where the pixel has stopped: no flag array is carried.
     """
     left = signed_t * (1 - alpha)
     live = left > rules.transmittance_min
@@ -58,8 +52,8 @@ def unblend_splat(
         t: Transmittance behind the splat.
         behind: Sum over what lies behind of weight x lit, background and dL/dT included.
         lit: dL/dimage . features of the splat.
-        alpha: Alpha of the splat, cut; zero where it is not blended.
-        unclamped: The same before the clamp.
+        alpha: As cut; zero where the splat is not blended.
+        unclamped: Alpha before the clamp.
         rules: Whether the gradient passes the clamp.
         front: `lit` of the channels that end in front, and the transmittance at which they do.
 

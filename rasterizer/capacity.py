@@ -80,12 +80,7 @@ def choose_capacity(
 ) -> int:
     """The bucket for this scene and these cameras; under `vmap`, the largest of the batch.
 
-    Args:
-        shapes: Gaussians and cameras.
-        named_arrays: The arrays that `project` takes by name.
-        grid: The tiles.
-        options: The other arguments of `project`, `(name, value)` each.
-        rules: Decides the extents.
+    `named_arrays` and `options`, `(name, value)` each, are the other arguments of `project`.
 
     Raises:
         UnknownCountError: Inside `jit`, where the number of pairs is not known.

@@ -43,7 +43,8 @@ class Blended(NamedTuple):
 class Engine(NamedTuple):
     """The two passes over tiles, and the function that lists their splats. Hashable, static."""
 
-    # (static, rows, lists) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists: splats and offsets of `TilePairs`.
+    # (static, rows, lists) -> Blended. rows [M, 6 + D]: x, y, conic xx xy yy, opacity, features, so that one gather per
+    # pair fetches all; lists: splats and offsets of `TilePairs`.
     forward: Callable[..., Blended]
     # (static, rows, lists, transmittance, last, d_features, d_transmittance, *residuals) -> [M, 6 + D], dL/drows.
     # Probes have no column in `rows`; the last columns of `d_features` and of the result are theirs.
@@ -108,22 +109,11 @@ def to_image(tiles: Array, grid: TileGrid) -> Array:
     return image[:, : grid.height, : grid.width]
 
 
-def _splat_rows(means2d: Array, conics: Array, opacities: Array, features: Array) -> Array:
-    """`[M, 6 + D]`: x, y, conic xx xy yy, opacity, features: one gather per pair fetches all."""
-    return jnp.concatenate([means2d, conics, opacities[:, None], features], axis=-1)
-
-
 def moments_about_means(rows: Array, centers: Array, moments: Array) -> Array:
     """`[..., 6]` moments of dL/dsigma over a tile's pixels, moved from the tile's centre to the splat's mean.
 
-    Args:
-        rows: `[..., 6 + D]` splats.
-        centers: `[..., 2]` centre of the tile that summed, pixels.
-        moments: `[..., 6]` dL/dsigma summed against `moment_basis` of the pixels relative to the tile's centre.
-
-    Returns:
-        The same sums against `moment_basis` of the offsets d = mean - pixel. A splat that shows far nearer to its mean
-        than to the tile's centre loses digits of the second ones, as the square of that ratio.
+    Both are sums against `moment_basis`: of the pixels relative to the centre `[..., 2]`, and of the offsets d = mean -
+    pixel. A splat that shows far nearer to its mean than to the centre loses digits, as the square of that ratio.
     """
     x, y = rows[..., 0] - centers[..., 0], rows[..., 1] - centers[..., 1]
     m1, mx, my, mxx, mxy, myy = components(moments)
@@ -132,13 +122,7 @@ def moments_about_means(rows: Array, centers: Array, moments: Array) -> Array:
 
 
 def chain_to_rows(rows: Array, moments: Array, d_features: Array) -> Array:
-    """`[..., 6 + D]` gradients to splat rows.
-
-    Args:
-        rows: `[..., 6 + D]` splats.
-        moments: `[..., 6]` dL/dsigma summed against `moment_basis` of the offsets mean - pixel.
-        d_features: `[..., D]` dL/dfeatures.
-    """
+    """`[..., 6 + D]` gradients to splat rows, given `[..., 6]` moments about the means and `[..., D]` dL/dfeatures."""
     xx, xy, yy = components(rows[..., 2:5])
     d1, dx, dy, dxx, dxy, dyy = components(moments)
     opacity = jnp.where(rows[..., 5] > 0, rows[..., 5], 1)
@@ -185,7 +169,7 @@ def composite(
 
 def _composite_fwd(static, means2d, conics, opacities, features, lists, absgrad, probes):
     del absgrad, probes
-    rows = _splat_rows(means2d, conics, opacities, features)
+    rows = jnp.concatenate([means2d, conics, opacities[:, None], features], axis=-1)
     blended = without_axes(partial(static.engine.forward, static), rows, lists)
     image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
     median = None if blended.median is None else to_image(blended.median[:, None], static.grid)[..., 0]

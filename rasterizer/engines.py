@@ -53,21 +53,21 @@ def prepare() -> None:
     Thread(target=resolve, args=("auto",), name="rasterizer", daemon=True).start()
 
 
-def _native() -> ModuleType:
+def load_loops() -> ModuleType:
     """The native loops, compiled or loaded.
 
     Raises:
         ImportError: numba is not installed, or XLA's interface is not the one that the loops are written for.
     """
-    from rasterizer import _native
+    from rasterizer._native import engine
 
-    return _native
+    return engine
 
 
 @cache
 def _native_or_none() -> ModuleType | None:
     try:
-        return _native()
+        return load_loops()
     except ImportError as error:
         logger.warning("the CPU's rasterizer runs in jnp, several times slower than its native loops: %s", error)
         return None
@@ -85,7 +85,7 @@ def _kernels() -> Engine:
 
 
 ENGINES: dict[str, Callable[[], Engine]] = {
-    "native": lambda: _native().ENGINE,
+    "native": lambda: load_loops().ENGINE,
     "xla": lambda: _xla.ENGINE,
     "pallas": _kernels,
     "reference": lambda: _xla.ENGINE,  # of its lists; it blends without tiles
@@ -103,7 +103,7 @@ def lists_by_itself(backend: Backend = "auto") -> bool:
 
 def native_loops(backend: Backend = "auto") -> ModuleType | None:
     """The native loops where a backend stands for them, else None."""
-    return _native() if resolve(backend) == "native" else None
+    return load_loops() if resolve(backend) == "native" else None
 
 
 def default_tile_size(backend: Backend = "auto") -> int:

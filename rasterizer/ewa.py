@@ -82,24 +82,25 @@ def _within_reach(slope: Vector, tilt: Vector, room: Array) -> Vector:
     return [part * flatter for part in slope]
 
 
+class Options(NamedTuple):
+    """The static arguments of `rasterizer.project`."""
+
+    model: CameraModel
+    size: tuple[int, int]
+    eps2d: float
+    near_plane: float
+    far_plane: float
+    radius_clip: float
+    rasterize_mode: RasterizeMode
+    depth_mode: DepthMode
+    rules: Rules
+
+
 def _project_components(
-    mean: Vector,
-    shape: tuple[Vector, ...],
-    opacity: Array,
-    viewmat: Matrix,
-    lens: Lens,
-    *,
-    model: CameraModel,
-    size: tuple[int, int],
-    eps2d: float,
-    near_plane: float,
-    far_plane: float,
-    radius_clip: float,
-    rasterize_mode: RasterizeMode,
-    depth_mode: DepthMode,
-    rules: Rules,
+    mean: Vector, shape: tuple[Vector, ...], opacity: Array, viewmat: Matrix, lens: Lens, *, options: Options
 ) -> _Splats:
     """`shape`: quaternion and scales, or the upper triangle of a covariance."""
+    model, size, eps2d, near_plane, far_plane, radius_clip, rasterize_mode, depth_mode, rules = options
     of_axes = len(shape) == 2
     image_covariance = seen_from_axes if of_axes else seen_from_triangle
     tilted = tilt_from_axes if of_axes else tilt_from_triangle
@@ -162,21 +163,7 @@ def _project_components(
     return _Splats(mean2d, z, conic, extent, visible, compensation, slope)
 
 
-class Options(NamedTuple):
-    """The static arguments of `rasterizer.project`."""
-
-    model: CameraModel
-    size: tuple[int, int]
-    eps2d: float
-    near_plane: float
-    far_plane: float
-    radius_clip: float
-    rasterize_mode: RasterizeMode
-    depth_mode: DepthMode
-    rules: Rules
-
-
-_traced_once = jax.jit(_project_components, static_argnames=Options._fields)
+_traced_once = jax.jit(_project_components, static_argnames="options")
 """The same; jax keeps its trace and derivatives, a fourth of what a program with a projection takes to compile."""
 
 
@@ -204,7 +191,7 @@ def project_in_jnp(
         ),
     )
 
-    project_all = partial(_traced_once, **options._asdict())
+    project_all = partial(_traced_once, options=options)
     # Recomputed on the way back: the inputs alone are kept in memory.
     splats = walled(jax.checkpoint(project_all), jnp.any(opacities >= options.rules.alpha_min), *inputs)
     return Projection(

@@ -36,7 +36,6 @@ class Info(dict[str, Any]):
     """
 
     def __init__(self, arrays: dict[str, Any], grid: TileGrid):
-        """Hold the arrays of one call, and its tiles."""
         super().__init__(arrays)
         self.grid = grid
 

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from rasterizer.arrays import takes_arrays, whole_number
 from rasterizer.devices import default_device
-from rasterizer.engines import Backend, native_loops
+from rasterizer.engines import Backend, load_loops, native_loops
 from rasterizer.tracing import reverse_only, vary_alike, without_axes
 
 DC = 0.28209479177387814  # The basis function of degree 0, 1 / sqrt(4 pi).
@@ -192,16 +192,12 @@ def spherical_harmonics_l1_plus(
 
 @jax.custom_vjp
 def _in_loops(dirs: Array, coeffs: Array, weights: Array) -> Array:
-    loops = native_loops("native")
-    assert loops
-    return without_axes(loops.upper_bands, dirs, coeffs, weights)
+    return without_axes(load_loops().upper_bands, dirs, coeffs, weights)
 
 
 def _in_loops_bwd(residuals, cotangents: Array):
     dirs, coeffs, weights = residuals
-    loops = native_loops("native")
-    assert loops
-    gradients = without_axes(loops.upper_bands_gradient, dirs, coeffs, weights, cotangents)
+    gradients = without_axes(load_loops().upper_bands_gradient, dirs, coeffs, weights, cotangents)
     # XLA leaves this out where no gradient to the weights is used.
     of_weights = jax.vjp(lambda weights: _in_jnp(dirs, coeffs, weights), weights)[1]
     return *gradients, *of_weights(cotangents)

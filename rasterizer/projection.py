@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from rasterizer.arrays import takes_arrays
 from rasterizer.camera_models import CAMERA_MODELS, CameraModelName
-from rasterizer.engines import Backend, native_loops
+from rasterizer.engines import Backend, load_loops, native_loops
 from rasterizer.ewa import DepthMode, Options, Projection, RasterizeMode, project_in_jnp
 from rasterizer.rules import GSPLAT, Rules
 from rasterizer.tracing import reverse_only, vary_alike, without_axes
@@ -96,13 +96,10 @@ def project(
         rules,
     )
     axes = means, quats, scales, opacities, viewmats, Ks
-    if covars is None and camera_model == "pinhole" and native_loops(backend) and _are_single(axes):
+    is_single = all(each is not None and each.dtype == jnp.float32 for each in axes)
+    if covars is None and camera_model == "pinhole" and native_loops(backend) and is_single:
         return _in_loops(options, *map(reverse_only, axes))
     return project_in_jnp(options, *axes, covars, radial_coeffs)
-
-
-def _are_single(arrays: tuple[Array, ...]) -> bool:
-    return all(each.dtype == jnp.float32 for each in arrays)
 
 
 def _numbers(options: Options) -> Array:
@@ -116,21 +113,17 @@ def _numbers(options: Options) -> Array:
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _in_loops(options: Options, *arrays: Array) -> Projection:
-    loops = native_loops("native")
-    assert loops
     with_factors, with_slopes = options.rasterize_mode == "antialiased", options.depth_mode == "plane"
-    projection = without_axes(partial(loops.project, with_factors, with_slopes), *arrays, _numbers(options))
+    projection = without_axes(partial(load_loops().project, with_factors, with_slopes), *arrays, _numbers(options))
     factors, slopes = projection.compensations, projection.slopes
     return projection._replace(compensations=factors if with_factors else None, slopes=slopes if with_slopes else None)
 
 
 def _in_loops_bwd(options: Options, arrays: tuple[Array, ...], cotangents: Projection):
-    loops = native_loops("native")
-    assert loops
     *gaussians, viewmats, Ks = arrays
     parts = cotangents.means2d, cotangents.depths, cotangents.conics, cotangents.compensations, cotangents.slopes
     parts = [jnp.zeros(0, jnp.float32) if part is None else part for part in parts]
-    gradients = without_axes(loops.project_gradient, *arrays, _numbers(options), *parts)
+    gradients = without_axes(load_loops().project_gradient, *arrays, _numbers(options), *parts)
     # XLA leaves this out where no gradient to the cameras is used.
     of_cameras = jax.vjp(lambda *cameras: project_in_jnp(options, *gaussians, *cameras), viewmats, Ks)[1]
     return *gradients, jnp.zeros_like(gaussians[3]), *of_cameras(cotangents)

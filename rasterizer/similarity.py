@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from rasterizer.engines import Backend, native_loops
+from rasterizer.engines import Backend, load_loops, native_loops
 from rasterizer.tracing import vary_alike, without_axes
 
 WINDOW_RADIUS = 5  # 11 taps
@@ -125,9 +125,7 @@ def _masked(image: Array, target: Array, mask: Array | None) -> tuple[Array, Arr
 @jax.custom_vjp
 def _compare(image: Array, target: Array, mask: Array) -> tuple[Array, Array]:
     """`[]` sum over the valid pixels and all channels, and `[3, H, W, C]` what `_gradient` reads."""
-    loops = native_loops("native")
-    assert loops
-    return without_axes(loops.ssim, image, target, mask)
+    return without_axes(load_loops().ssim, image, target, mask)
 
 
 def _compare_fwd(image: Array, target: Array, mask: Array):
@@ -150,9 +148,7 @@ _compare.defvjp(_compare_fwd, _compare_bwd)
 @jax.custom_vjp
 def _gradient(image: Array, target: Array, mask: Array, slopes: Array, cotangent: Array) -> Array:
     """`[H, W, C]` gradient of `_compare` to the image."""
-    loops = native_loops("native")
-    assert loops
-    return without_axes(loops.ssim_gradient, image, target, mask, slopes, cotangent)
+    return without_axes(load_loops().ssim_gradient, image, target, mask, slopes, cotangent)
 
 
 def _gradient_fwd(image: Array, target: Array, mask: Array, slopes: Array, cotangent: Array):

@@ -101,9 +101,7 @@ def vary_alike(tree: T) -> T:
 def without_axes(function: Callable[..., T], *arguments: Any) -> T:
     """The function's value, traced as if no argument varied over an axis; the results vary as the arguments do.
 
-    Args:
-        function: Of arrays to a pytree of arrays, without collectives. Not differentiated.
-        arguments: Pytrees of arrays.
+    It is without collectives, of pytrees of arrays to one, and not differentiated.
     """
     if not _axes(arguments):
         return function(*arguments)

@@ -26,7 +26,7 @@ from gsjax.report.pictures import depth_picture, depth_span, surface_picture
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import open_result
 from gsjax.runs.viewpoints import camera_circle, camera_circle_of_mesh
-from gsjax.scene.camera_path import Keyframes, camera_of, closed_path, fly, through
+from gsjax.scene.camera_path import Keyframes, at_all, camera_of, fly, through
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
 from gsjax.scene.similarity import Similarity, of_points
@@ -210,7 +210,7 @@ def _keyframes(source: _Source, views: Views, keyframes: Keyframes | None, aspec
         local = np.stack([source.similarity.viewmat_to_local(viewmat) for viewmat in keyframes.viewmats])
         return keyframes._replace(viewmats=local)
     if views == "turntable":
-        return closed_path(source.circle(), aspect)
+        return at_all(source.circle(), aspect, closed=True)
     if len(source.cameras) < 2:
         raise InputError(f"{source.path}: has fewer than two photos to pass")
     return through(source.cameras, MOST_PHOTOS, aspect)

@@ -4,8 +4,6 @@ from gsjax.rendering.depth import IN_FRONT, MIN_COVERAGE, DepthReading, splat_de
 from gsjax.rendering.splats import (
     PIXEL_FILTERS,
     Drawable,
-    Splats,
-    binned,
     drawable,
     facing_axes,
     features,
@@ -16,7 +14,7 @@ from gsjax.rendering.splats import (
     splat,
     tile_grid,
 )
-from gsjax.rendering.viewing import Neighbor, View, colors, render, view_splats
+from gsjax.rendering.viewing import Neighbor, View, colors, render
 
 __all__ = [
     "IN_FRONT",
@@ -25,9 +23,7 @@ __all__ = [
     "DepthReading",
     "Drawable",
     "Neighbor",
-    "Splats",
     "View",
-    "binned",
     "colors",
     "drawable",
     "facing_axes",
@@ -40,5 +36,4 @@ __all__ = [
     "splat",
     "tile_grid",
     "render",
-    "view_splats",
 ]

@@ -8,14 +8,14 @@ import rasterizer
 from gsjax.gaussians import SH_C0
 from gsjax.scene.cameras import Camera, pixel_rays, rotation
 
+RIDGE = 1e-3
+
 
 def color_behind(background: Array, camera: Camera) -> Array:
     """`[3]` or `[H, W, 3]`: what a camera sees where nothing is in front, for the background of a render.
 
-    Args:
-        background: `[3]` colour; or `[(L + 1)^2, 3]` SH coefficients of a colour max(0, SH(direction) + 0.5) of the
-            direction of the ray in the world, L at most 4. Differentiable to both.
-        camera: The view.
+    The background is a colour `[3]`; or `[(L + 1)^2, 3]` SH coefficients of a colour max(0, SH(direction) + 0.5) of the
+    ray's direction in the world, L at most 4. Differentiable to both arguments.
     """
     if background.ndim == 1:
         return background
@@ -26,16 +26,16 @@ def color_behind(background: Array, camera: Camera) -> Array:
     return jnp.maximum(rasterizer.spherical_harmonics(degree, directions, background[None, None]) + 0.5, 0)
 
 
-def fitted_coefficients(directions: np.ndarray, colors: np.ndarray, degree: int, ridge: float = 1e-3) -> np.ndarray:
+def fitted_coefficients(directions: np.ndarray, colors: np.ndarray, degree: int) -> np.ndarray:
     """`[(degree + 1)^2, 3]` float32 coefficients that come nearest to colours `[R, 3]` seen along `[R, 3]` directions.
 
-    Without a direction they stay at the mean colour: all but the first weigh `ridge` of their squares.
+    Without a direction they stay at the mean colour: all but the first weigh `RIDGE` of their squares.
     """
     count = (degree + 1) ** 2
     one_by_one = jnp.eye(count, dtype=jnp.float32)[None]
     basis = np.asarray(rasterizer.spherical_harmonics(degree, jnp.asarray(directions, jnp.float32), one_by_one))
     mean = colors.mean(0)
-    weights = basis.T @ basis / len(basis) + ridge * np.eye(count)
+    weights = basis.T @ basis / len(basis) + RIDGE * np.eye(count)
     fitted = np.linalg.solve(weights, basis.T @ (colors - mean) / len(basis))
     return constant_coefficients(mean, degree) + fitted.astype(np.float32)
 

@@ -31,7 +31,7 @@ def splat_depth_mode(reading: DepthReading | None) -> DepthMode:
 
 def depth_channels(splats: Splats, reading: DepthReading) -> Array:
     """`[N, D]` values that `mean_depth` reads once they are composited."""
-    planes = _planes(splats)
+    planes = rasterizer.depth_channels(splats.projection, splats.grid.width, splats.grid.height)[0]
     return jnp.concatenate([planes, jnp.ones_like(planes[:, :1])], -1) if reading in IN_FRONT else planes
 
 
@@ -39,20 +39,11 @@ def mean_depth(composited: Array, alphas: Array, reading: DepthReading) -> Array
     """`[H, W]` depth of composited `depth_channels` `[H, W, D]`; 0 where less than `MIN_COVERAGE` is covered."""
     if reading in IN_FRONT:
         composited, alphas = composited[..., :-1], composited[..., -1]
-    return safe_divide(_read(composited), alphas, alphas > MIN_COVERAGE)
+    depth = rasterizer.blended_depth(composited[None])[0, ..., 0]
+    return safe_divide(depth, alphas, alphas > MIN_COVERAGE)
 
 
 def expected_depth(splats: Splats, reading: DepthReading = "plane") -> tuple[Array, Array]:
     """`[H, W]` depth and `[H, W]` alphas, as `gsjax.rendering` has them, without colours: a pass of its own."""
     image, alphas = features(splats, depth_channels(splats, reading), IN_FRONT.get(reading))
     return mean_depth(image, alphas, reading), alphas
-
-
-def _planes(splats: Splats) -> Array:
-    """`[N, 1]` or `[N, 3]` channels that `_read` reads."""
-    return rasterizer.depth_channels(splats.projection, splats.grid.width, splats.grid.height)[0]
-
-
-def _read(channels: Array) -> Array:
-    """`[H, W]` what composited depth channels are at each pixel."""
-    return rasterizer.blended_depth(channels[None])[0, ..., 0]

@@ -57,9 +57,7 @@ def pictures(
 def mask_pictures(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> Iterator[Picture]:
     """The same pictures with nothing in them, in colour, depth, coverage and owners, where their photos say nothing.
 
-    Args:
-        pictures: One a view; read one by one, as `valid` is.
-        valid: `[H, W]` bool a view, False where its photo must not be used; None: it may be everywhere.
+    Both are read one by one. `valid` is `[H, W]` bool a view, False where its photo must not be used; None: all is.
     """
     for picture, usable in zip(pictures, valid, strict=True):
         if usable is None:

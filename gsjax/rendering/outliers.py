@@ -34,10 +34,7 @@ def cluster_sizes(means: np.ndarray) -> np.ndarray:
     """`[N]` how many Gaussians hang together with each, itself included.
 
     Two hang together where they are among each other's nearest and no farther apart than a few times the spacing around
-    either of them; a dense object and a sparse background may be apart, and both be large.
-
-    Args:
-        means: `[N, 3]` finite.
+    either of them; a dense object and a sparse background may be apart, and both be large. Means are finite.
     """
     count = len(means)
     if count <= SPACING:
@@ -58,12 +55,9 @@ def most_of_small(count: int) -> int:
 
 
 def giants(means: np.ndarray, scales: np.ndarray, centers: np.ndarray | None) -> np.ndarray:
-    """`[N]` bool: which Gaussians are so large that they can show nothing.
+    """`[N]` bool: which Gaussians, of `[N, 3]` means and standard deviations, are so large that they can show nothing.
 
-    Args:
-        means: `[N, 3]`.
-        scales: `[N, 3]` standard deviations.
-        centers: `[V, 3]` of the cameras. None: the size of the whole is the measure.
+    The measure is how near the cameras come, whose centres are `[V, 3]`; without any, the size of the whole.
     """
     largest = scales.max(axis=1)
     if centers is None:
@@ -95,14 +89,9 @@ def are_floaters(gaussians: Gaussians, views: Iterable[CoarseDepth]) -> np.ndarr
     A view *supports* a Gaussian if the depth that it shows at the Gaussian's mean is the Gaussian's own, up to
     `SAME_SURFACE` of it and `DEVIATIONS`; it *looks through* the Gaussian if that depth is greater. A floater has fewer
     than `SUPPORTING` views, and either `LOOKING_THROUGH` and more that look through it, or one that has it nearer than
-    `NEAR` of the median depth that it shows. What is hidden behind a surface has neither, and is none.
+    `NEAR` of the median depth that it shows. What is hidden behind a surface, or not finite, is none.
 
-    Args:
-        gaussians: N of them; what is not finite is no floater.
-        views: Depths that these Gaussians show, see `gsjax.rendering.coarse_depths`; read one by one.
-
-    Returns:
-        `[N]` bool, numpy.
+    Views have the depths that these Gaussians show, and are read one by one. Returns `[N]` bool, numpy.
     """
     means, shapes = np.asarray(gaussians.means, np.float64), np.asarray(covariances(gaussians), np.float64)
     usable = np.isfinite(means).all(axis=1) & np.isfinite(shapes).all(axis=(1, 2))

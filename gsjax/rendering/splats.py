@@ -119,7 +119,12 @@ def splat(
     projection, opacities = projected(scene, camera, depth_mode, backend)
     if means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
-    return binned(projection, opacities, camera, capacity, backend)
+    grid = tile_grid(camera, backend)
+    if capacity is None and rasterizer.lists_by_itself(backend):
+        return Splats(projection, opacities, None, grid, backend)
+    capacity = rasterizer.count_capacity(projection, grid) if capacity is None else capacity
+    pairs = rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT, backend=backend)
+    return Splats(projection, opacities, pairs, grid, backend)
 
 
 def needed_capacity(gaussians: Any, camera: Camera, backend: rasterizer.Backend = "auto") -> Array:
@@ -145,22 +150,6 @@ def projected(
     if projection.compensations is not None:
         opacities = opacities * projection.compensations[0]
     return projection, opacities
-
-
-def binned(
-    projection: rasterizer.Projection,
-    opacities: Array,
-    camera: Camera,
-    capacity: int | None = None,
-    backend: rasterizer.Backend = "auto",
-) -> Splats:
-    """The splats of one view (see `projected`) with their lists; `capacity` and `backend` as in `splat`."""
-    grid = tile_grid(camera, backend)
-    if capacity is None and rasterizer.lists_by_itself(backend):
-        return Splats(projection, opacities, None, grid, backend)
-    capacity = rasterizer.count_capacity(projection, grid) if capacity is None else capacity
-    pairs = rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT, backend=backend)
-    return Splats(projection, opacities, pairs, grid, backend)
 
 
 def _project(

@@ -30,9 +30,7 @@ class Batch:
     image: Num[Array, "H W 3"]  # uint8, straight; decoded: 0..1, over the background
     valid: Any  # [H, W] bool; None: all of the photo, until decoded
     matte: Num[Array, "H W"] | None  # uint8; decoded: 0..1
-    normals: Num[Array, "H W 3"] | None = (
-        None  # camera frame, times confidence, 0: none; int8 of `NORMAL_UNIT`, or 0..1
-    )
+    normals: Num[Array, "H W 3"] | None = None  # camera frame, times confidence; int8 of `NORMAL_UNIT`, or 0..1
     photo: Int32[Array, ""] | None = None  # number of the photo in the run, where an effect has parameters for each
     depth: Float32[Array, "H W"] | None = None  # measured camera z, scene units; zero where nothing was measured
     trust: Num[Array, "H W"] | None = None  # uint8 confidence of the measured depth; decoded: 0..1
@@ -118,7 +116,9 @@ def with_skies(data: Batches, skies: Sequence[np.ndarray | None], scale: int = 1
     """
     width, height = data.size
     no_sky = np.zeros((height, width), bool)
-    reduced = (no_sky if sky is None else keep(_padded(~_any_of_blocks(~sky, scale), width, height)) for sky in skies)
+    reduced = (
+        no_sky if sky is None else keep(_padded(_blocks(sky, scale).all((1, 3)), width, height)) for sky in skies
+    )
     return _with_fields(data, ({"sky": sky} for sky in reduced))
 
 
@@ -128,14 +128,9 @@ def with_photo_numbers(data: Batches) -> Batches:
 
 
 def feed(data: Batches, *, room: int) -> Callable[[Sequence[int], Sequence[int]], list[Batch]]:
-    """A function that brings photos to the device: all at once where they fit, else each before its step.
+    """A function that brings photos to the device: all at once where they fit in `device_room`, else before their step.
 
-    Args:
-        data: The photos.
-        room: Bytes of the device's memory that photos may take, see `device_room`.
-
-    Returns:
-        (indices, indices of the next step) -> the photos on the device; the same bits either way.
+    It is (indices, indices of the next step) -> the photos on the device; the same bits either way.
     """
     if data.num_bytes <= room:
         resident = jax.device_put(data.views)
@@ -219,22 +214,16 @@ def _reduced(pixels: Pixels, scale: int) -> Pixels:
     )
 
 
-def _any_of_blocks(mask: np.ndarray, scale: int) -> np.ndarray:
-    height, width = mask.shape[0] // scale, mask.shape[1] // scale
-    blocks = mask[: height * scale, : width * scale].reshape(height, scale, width, scale)
-    return np.logical_or.reduce(blocks, axis=(1, 3))
+def _blocks(array: np.ndarray, scale: int) -> np.ndarray:
+    """`[h, scale, w, scale, ...]` the blocks of an array `[H, W, ...]`, without a rest at the right and the bottom."""
+    height, width = array.shape[0] // scale, array.shape[1] // scale
+    return array[: height * scale, : width * scale].reshape(height, scale, width, scale, *array.shape[2:])
 
 
 def _block_mean(array: np.ndarray, scale: int, weights: np.ndarray | None = None) -> np.ndarray:
-    height, width = array.shape[0] // scale, array.shape[1] // scale
-
-    def sums(pixels: np.ndarray, kind: type) -> np.ndarray:
-        blocks = pixels[: height * scale, : width * scale].reshape(height, scale, width, scale, *pixels.shape[2:])
-        return blocks.sum(axis=(1, 3), dtype=kind)
-
-    mean = sums(array, np.int64) / scale**2
+    mean = _blocks(array, scale).sum(axis=(1, 3), dtype=np.int64) / scale**2
     if weights is not None:
-        total = sums(weights, np.float64)
-        weighted = sums(array * weights, np.float64) / np.where(total > 0, total, 1)
+        total = _blocks(weights, scale).sum(axis=(1, 3), dtype=np.float64)
+        weighted = _blocks(array * weights, scale).sum(axis=(1, 3), dtype=np.float64) / np.where(total > 0, total, 1)
         mean = np.where(total > 0, weighted, mean)  # A block without weight: the plain mean.
     return np.rint(mean).astype(array.dtype)

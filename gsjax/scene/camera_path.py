@@ -44,30 +44,18 @@ def fly(keyframes: Keyframes, count: int) -> tuple[np.ndarray, np.ndarray]:
     return flown, np.clip(angles, fovs.min(), fovs.max())
 
 
-def closed_path(cameras: Sequence[Camera], aspect: float) -> Keyframes:
-    """Keyframes at all cameras, in their order, and back to the first.
-
-    Args:
-        cameras: World to camera, at least 3.
-        aspect: Width by height of the pictures; each shows all that its camera shows.
-    """
+def at_all(cameras: Sequence[Camera], aspect: float, *, closed: bool) -> Keyframes:
+    """Keyframes at all cameras, in their order; in pictures of this width by height each shows all that it shows."""
     viewmats = np.stack([np.asarray(camera.viewmat, np.float64) for camera in cameras])
-    return Keyframes(viewmats, np.array([covering_fov(camera, aspect) for camera in cameras]), closed=True)
+    return Keyframes(viewmats, np.array([covering_fov(camera, aspect) for camera in cameras]), closed)
 
 
 def through(cameras: Sequence[Camera], most: int, aspect: float) -> Keyframes:
-    """Keyframes at `most` of the cameras, evenly spread; in their own order, or from each to the nearest if shorter.
-
-    Args:
-        cameras: World to camera.
-        most: Keyframes.
-        aspect: Width by height of the pictures; each shows all that its camera shows.
-    """
+    """`at_all` of `most` of the cameras, evenly spread; in their own order, or from each to the nearest if shorter."""
     indices = np.unique(np.linspace(0, len(cameras) - 1, min(most, len(cameras))).round().astype(int))
-    viewmats = np.stack([np.asarray(cameras[place].viewmat, np.float64) for place in indices])
-    fovs = np.array([covering_fov(cameras[place], aspect) for place in indices])
-    order = _shorter_order(np.stack([viewmat_center(viewmat) for viewmat in viewmats]))
-    return Keyframes(viewmats[order], fovs[order], closed=False)
+    keyframes = at_all([cameras[place] for place in indices], aspect, closed=False)
+    order = _shorter_order(np.stack([viewmat_center(viewmat) for viewmat in keyframes.viewmats]))
+    return keyframes._replace(viewmats=keyframes.viewmats[order], fovs=keyframes.fovs[order])
 
 
 def camera_of(viewmat: np.ndarray, fov: float, width: int, height: int) -> Camera:

@@ -106,10 +106,7 @@ def unproject(depth: Array, camera: Camera) -> Array:
 def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
     """`[4, 4]` float32 viewmat, numpy, of a camera at `eye` with `target` in the middle; any turn if it looks along up.
 
-    Args:
-        eye: `[3]` world.
-        target: `[3]` world, elsewhere.
-        up: `[3]` the world's direction that points up in the image, any length.
+    All are `[3]`, world; `up` is the direction that points up in the image, of any length.
     """
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, up / np.linalg.norm(up))

@@ -131,11 +131,9 @@ IDENTITY = Similarity()
 
 
 def of_cameras(viewmats: np.ndarray, points: np.ndarray) -> Similarity:
-    """The similarity of a data set: its cameras lie around the local origin, a few units apart.
+    """The similarity of a data set: its cameras, `[V, 4, 4]` float64, lie around the local origin, a few units apart.
 
-    Args:
-        viewmats: `[V, 4, 4]` float64 world to camera.
-        points: `[P, 3]` float64 world; they determine the size where all photos were taken from one place.
+    Where all photos were taken from one place, its `[P, 3]` float64 points determine the size.
     """
     centers = -np.einsum("vji,vj->vi", viewmats[:, :3, :3], viewmats[:, :3, 3])
     middle = np.median(centers, axis=0)

@@ -9,33 +9,6 @@ Importing this package compiles it all, or loads it; `rasterizer.engines` does s
 from rasterizer._native.compiled import disk_cache
 
 with disk_cache():
-    from rasterizer._native.engine import (
-        ENGINE,
-        adam,
-        all_finite,
-        project,
-        project_gradient,
-        ssim,
-        ssim_gradient,
-        upper_bands,
-        upper_bands_gradient,
-    )
-    from rasterizer._native.harmonics import BANDS, CHANNELS
-    from rasterizer._native.similarity import MAX_IMAGE_CHANNELS
-    from rasterizer._native.tiles import MAX_SIDE
+    from rasterizer._native import engine
 
-__all__ = [
-    "BANDS",
-    "CHANNELS",
-    "ENGINE",
-    "MAX_IMAGE_CHANNELS",
-    "MAX_SIDE",
-    "adam",
-    "all_finite",
-    "project",
-    "project_gradient",
-    "ssim",
-    "ssim_gradient",
-    "upper_bands",
-    "upper_bands_gradient",
-]
+__all__ = ["engine"]

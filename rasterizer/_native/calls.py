@@ -5,9 +5,7 @@ are words at fixed places. No Python runs in a call, and no lock of Python's is 
 threads: a free thread takes the next item. A late thread finds no item left, so that no thread waits for a busy one.
 """
 
-from numba import types
-
-from rasterizer._native.compiled import inlined
+from rasterizer._native.compiled import API_MAJOR, API_MINOR, inlined
 from rasterizer._native.instructions import (
     address_of,
     as_bytes,
@@ -16,11 +14,9 @@ from rasterizer._native.instructions import (
     as_int64s,
     call,
     fetch_add,
+    floats_at,
     words_on_stack,
 )
-
-API_MAJOR, API_MINOR = 0, 3
-HANDLER, TASK = types.int64(types.int64), types.void(types.int64)
 
 # Places of what is read, in words of 8 bytes.
 _EXTENSION, _API, _CONTEXT, _COUNT, ARGUMENTS, _RESULTS = 1, 2, 3, 7, 9, 14  # of a frame
@@ -41,6 +37,13 @@ def word(address, place):
 def set_word(address, place, value):
     """Writes a word."""
     as_int64s(address)[place] = value
+
+
+@inlined
+def set_words(address, place, *values):
+    """Writes words from a place on."""
+    for i in range(len(values)):
+        set_word(address, place + i, values[i])
 
 
 @inlined
@@ -101,6 +104,38 @@ def flags(buffer):
 
 
 @inlined
+def floats_of(job, place):
+    """The float32 numbers at an address of a job."""
+    return as_floats(word(job, place))
+
+
+@inlined
+def int32s_of(job, place):
+    """The int32 numbers at an address of a job."""
+    return as_int32s(word(job, place))
+
+
+@inlined
+def rows_of(job, place, row, width):
+    """The float32 numbers at an address of a job, from a row on."""
+    return floats_at(as_floats(word(job, place)), row * width)
+
+
+@inlined
+def note_arguments(frame, first, count, job, place):
+    """Writes the addresses of so many arguments to a job, from a place on."""
+    for i in range(count):
+        set_word(job, place + i, data(argument(frame, first + i)))
+
+
+@inlined
+def note_results(frame, first, count, job, place):
+    """The same of results."""
+    for i in range(count):
+        set_word(job, place + i, data(result(frame, first + i)))
+
+
+@inlined
 def allocate(size):
     """Address of so many fresh bytes; 0 where there are none left."""
     return call(address_of("rasterizer_allocate"), max(size, 1))
@@ -124,67 +159,60 @@ def only_introduces(frame):
 
 
 @inlined
-def no_memory(frame):
-    """The error that a call returns where `allocate` found nothing."""
+def finish(frame, had_memory):
+    """What a call returns: 0, or an error where `allocate` found nothing."""
+    if had_memory:
+        return 0
     request = words_on_stack(4)
-    set_word(request, 0, 28)
-    set_word(request, 1, 0)
-    set_word(request, 2, address_of("rasterizer_no_memory"))
-    set_word(request, 3, _RESOURCE_EXHAUSTED)
+    set_words(request, 0, 28, 0, address_of("rasterizer_no_memory"), _RESOURCE_EXHAUSTED)
     return call(word(word(frame, _API), _CREATE_ERROR), request)
 
 
 @inlined
 def share(frame, task, job, items):
-    """Does all items of a job, with as many of XLA's threads as come to help.
+    """Does all items of a job, by the task at an address, with as many of XLA's threads as come to help.
 
-    Args:
-        frame: Of the call.
-        task: Address of a C function `TASK` that does items until `next_item` has none, and then lets go.
-        job: What the task needs to know: a word.
-        items: How many there are.
-
-    Returns:
-        Whether there was memory to begin.
+    The job is a word, which the task reads. Returns whether there was memory to begin.
     """
     shared, helpers = allocate(8 * 5), max(min(_threads(frame), items) - 1, 0)
     if shared == 0:
         return False
-    set_word(shared, _HOLDERS, helpers + 2)
-    set_word(shared, _NEXT, 0)
-    set_word(shared, _DONE, 0)
-    set_word(shared, _ITEMS, items)
-    set_word(shared, _JOB, job)
+    set_words(shared, _HOLDERS, helpers + 2, 0, 0, items, job)
     fetch_add(shared + 8 * _HOLDERS, _schedule_helpers(frame, task, shared, helpers) - helpers)
     call(task, shared)
     while fetch_add(shared + 8 * _DONE, 0) < items:
         call(address_of("rasterizer_give_way"), 0)
-    let_go(shared)
+    _let_go(shared)
     return True
 
 
 @inlined
-def job_of(shared):
-    """The job's word."""
-    return word(shared, _JOB)
-
-
-@inlined
-def next_item(shared):
-    """An item that no thread has taken, or -1."""
+def do_items(shared, do):
+    """Does items that no thread has taken, by `do(job, item)`, until none is left, and lets go."""
     item = fetch_add(shared + 8 * _NEXT, 1)
-    return item if item < word(shared, _ITEMS) else -1
+    while item < word(shared, _ITEMS):
+        do(word(shared, _JOB), item)
+        fetch_add(shared + 8 * _DONE, 1)
+        item = fetch_add(shared + 8 * _NEXT, 1)
+    _let_go(shared)
 
 
 @inlined
-def item_after(shared):
-    """The next item, the last one being done, or -1."""
-    fetch_add(shared + 8 * _DONE, 1)
-    return next_item(shared)
+def do_rows(shared, place, block, strip, do):
+    """Does items of `block` rows each, of as many as the job has at a place, by `do(job, first row, at most strip)`."""
+    item = fetch_add(shared + 8 * _NEXT, 1)
+    while item < word(shared, _ITEMS):
+        job = word(shared, _JOB)
+        end = min((item + 1) * block, word(job, place))
+        for first in range(item * block, end, strip):
+            do(job, first, min(strip, end - first))
+        fetch_add(shared + 8 * _DONE, 1)
+        item = fetch_add(shared + 8 * _NEXT, 1)
+    _let_go(shared)
 
 
 @inlined
-def let_go(shared):
+def _let_go(shared):
     """The last one to let go gives back what was shared."""
     if fetch_add(shared + 8 * _HOLDERS, -1) == 1:
         release(shared)
@@ -195,10 +223,7 @@ def _threads(frame):
     """Threads that XLA has, this one among them; 1 where the number is unknown."""
     count, request = words_on_stack(1), words_on_stack(4)
     set_word(count, 0, 1)
-    set_word(request, 0, 32)
-    set_word(request, 1, 0)
-    set_word(request, 2, word(frame, _CONTEXT))
-    set_word(request, 3, count)
+    set_words(request, 0, 32, 0, word(frame, _CONTEXT), count)
     _forget(frame, call(word(word(frame, _API), _COUNT_THREADS), request))
     return word(count, 0)
 
@@ -207,11 +232,7 @@ def _threads(frame):
 def _schedule_helpers(frame, task, shared, helpers):
     """How many threads were scheduled to help."""
     request = words_on_stack(5)
-    set_word(request, 0, 40)
-    set_word(request, 1, 0)
-    set_word(request, 2, word(frame, _CONTEXT))
-    set_word(request, 3, task)
-    set_word(request, 4, shared)
+    set_words(request, 0, 40, 0, word(frame, _CONTEXT), task, shared)
     for scheduled in range(helpers):
         if _forget(frame, call(word(word(frame, _API), _SCHEDULE), request)):
             return scheduled
@@ -224,8 +245,6 @@ def _forget(frame, error):
     if error == 0:
         return False
     request = words_on_stack(3)
-    set_word(request, 0, 24)
-    set_word(request, 1, 0)
-    set_word(request, 2, error)
+    set_words(request, 0, 24, 0, error)
     call(word(word(frame, _API), _DESTROY_ERROR), request)
     return True

@@ -1,4 +1,4 @@
-"""How the loops are compiled, and where the compiled code is kept.
+"""How the loops are compiled, where the compiled code is kept, and how XLA and its threads find it.
 
 It is kept on disk, in a folder named by the source of this package and by numba's version: processes of any environment
 load it, wherever the package lies, and another version never finds it.
@@ -7,32 +7,38 @@ load it, wherever the package lies, and another version never finds it.
 import hashlib
 import logging
 import os
+import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import jax
 import numba
+from numba import types
 from numba.core import config as _config
 from numba.core.caching import UserProvidedCacheLocator
+
+from rasterizer._native.instructions import define
 
 config: Any = _config  # Its fields are made when it is loaded.
 # Sums may be contracted and reordered, so that loops become vectors; infinities and NaN keep their meaning.
 FAST = {"contract", "reassoc", "nsz"}
+API_MAJOR, API_MINOR = 0, 3  # of XLA's interface, as `calls` is written for it
 
 logger = logging.getLogger("rasterizer")
 
 
-def cache_folder() -> Path:
-    """The folder of this version, in the one that NUMBA_CACHE_DIR names, else next to the programs of XLA."""
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gsjax" / "loops"
-    return (Path(config.CACHE_DIR) if config.CACHE_DIR else home) / _version_hash()
+def _check_interface() -> None:
+    """Raises ImportError where XLA's interface has changed since `calls` was written."""
+    header = (Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h").read_text()
+    version = [int(re.findall(rf"define XLA_FFI_API_{part} (\d+)", header)[0]) for part in ("MAJOR", "MINOR")]
+    if version[0] != API_MAJOR or version[1] < API_MINOR:
+        raise ImportError(f"XLA's FFI is of version {version[0]}.{version[1]}, not {API_MAJOR}.{API_MINOR} or later")
 
 
-def _version_hash() -> str:
-    sources = [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
-    return hashlib.sha256(b"".join([numba.__version__.encode(), *sources])).hexdigest()[:16]
+_check_interface()
 
 
 class ByContent(UserProvidedCacheLocator):
@@ -48,9 +54,15 @@ class ByContent(UserProvidedCacheLocator):
 
 
 def _writable_folder() -> Path | None:
-    """The cache folder; None where there is no home or it cannot be written: every process compiles anew."""
+    """The folder of this version, in the one that NUMBA_CACHE_DIR names, else next to the programs of XLA.
+
+    None where there is no home or it cannot be written: every process compiles anew.
+    """
+    sources = [path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))]
+    version = hashlib.sha256(b"".join([numba.__version__.encode(), *sources])).hexdigest()[:16]
     try:
-        folder = cache_folder()
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gsjax" / "loops"
+        folder = (Path(config.CACHE_DIR) if config.CACHE_DIR else home) / version
         folder.mkdir(parents=True, exist_ok=True)
     except (RuntimeError, OSError):
         return None
@@ -61,13 +73,21 @@ FOLDER = _writable_folder()
 OPTIONS: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
 
 # Compiled once, and inlined by LLVM wherever it is called. Python never calls it, which saves its wrappers.
-INLINED = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **OPTIONS}
-inlined = numba.njit(**INLINED)
+inlined = numba.njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)
 
 
-def entry_point(signature: object) -> Callable:
-    """A function that C can call, compiled or loaded as soon as it is defined."""
-    return numba.cfunc(signature, cache=FOLDER is not None, **OPTIONS)
+def handler(function: Any) -> Any:
+    """A call of XLA's by the function's name: from the address of its frame to 0, or to the address of an error."""
+    compiled: Any = numba.cfunc(types.int64(types.int64), cache=FOLDER is not None, **OPTIONS)(function)
+    jax.ffi.register_ffi_target(f"rasterizer_{function.__name__}", jax.ffi.pycapsule(compiled.ctypes), platform="cpu")
+    return compiled
+
+
+def task(function: Any) -> Any:
+    """What `calls.share` has threads do, given the address of what they share; `address_of` has it by its name."""
+    compiled: Any = numba.cfunc(types.void(types.int64), cache=FOLDER is not None, **OPTIONS)(function)
+    define(f"rasterizer_{function.__name__}", compiled.address)
+    return compiled
 
 
 @contextmanager

@@ -1,8 +1,5 @@
 """The native loops as an engine: what `rasterizer.compositing` and `rasterizer.engines` call."""
 
-import re
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,42 +11,18 @@ from rasterizer._native import passes as _passes
 from rasterizer._native import projection as _projection
 from rasterizer._native import similarity as _similarity
 from rasterizer._native import updates as _updates
-from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.tiles import GEOMETRY, MAX_SIDE
 from rasterizer.binning import TileGrid, TilePairs, sigma_cuts
 from rasterizer.compositing import Blended, Engine, Static
 from rasterizer.ewa import Projection
 from rasterizer.rules import Rules
 
-
-def _check_interface() -> None:
-    """Raises ImportError where XLA's interface has changed since `calls` was written."""
-    header = (Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h").read_text()
-    version = [int(re.findall(rf"define XLA_FFI_API_{part} (\d+)", header)[0]) for part in ("MAJOR", "MINOR")]
-    if version[0] != API_MAJOR or version[1] < API_MINOR:
-        raise ImportError(f"XLA's FFI is of version {version[0]}.{version[1]}, not {API_MAJOR}.{API_MINOR} or later")
+BANDS, CHANNELS, MAX_IMAGE_CHANNELS = _harmonics.BANDS, _harmonics.CHANNELS, _similarity.MAX_IMAGE_CHANNELS
 
 
-_check_interface()
-_HANDLERS = (
-    _projection.project,
-    _projection.project_gradient,
-    _lists.lists,
-    _passes.forward,
-    _passes.backward,
-    _updates.adam,
-    _updates.all_finite,
-    _similarity.ssim,
-    _similarity.ssim_gradient,
-    _harmonics.upper_bands,
-    _harmonics.upper_bands_gradient,
-)
-for _handler in _HANDLERS:
-    jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
-
-
-def _call(name: str, results, *arguments, **how):
-    return jax.ffi.ffi_call(f"rasterizer_{name}", results, vmap_method="sequential", **how)(*arguments)
+def _call(handler, results, *arguments, **how):
+    name = f"rasterizer_{handler.__name__}"
+    return jax.ffi.ffi_call(name, results, vmap_method="sequential", **how)(*arguments)
 
 
 def _single(x: Array) -> Array:
@@ -77,13 +50,13 @@ def _forward(static: Static, rows: Array, lists: tuple[Array, ...]) -> Blended:
     indices = jax.ShapeDtypeStruct((tiles, pixels), np.int32)
     features = jax.ShapeDtypeStruct((tiles, rows.shape[1] - GEOMETRY, pixels), np.float32)
     results = features, jax.ShapeDtypeStruct((tiles, pixels), np.float32), indices, indices
-    features, light, last, median = _call("forward", results, rows, *lists, *_numbers(static))
+    features, light, last, median = _call(_passes.forward, results, rows, *lists, *_numbers(static))
     return Blended(features, light, last, median if static.with_median else None)
 
 
 def _backward(static: Static, rows: Array, lists: tuple[Array, ...], *others: Array) -> Array:
     result = jax.ShapeDtypeStruct((rows.shape[0], rows.shape[1] + static.probes), np.float32)
-    return _call("backward", result, rows, *lists, *others, *_numbers(static))
+    return _call(_passes.backward, result, rows, *lists, *others, *_numbers(static))
 
 
 def _listed(
@@ -123,7 +96,7 @@ def bin_splats(
         jax.ShapeDtypeStruct((), np.int32),
     )
     listed = _listed(projection, opacities, grid, rules, masks)
-    splats, offsets, needed = _call("lists", results, *listed)
+    splats, offsets, needed = _call(_lists.lists, results, *listed)
     return TilePairs(splats, offsets, needed, needed > capacity)
 
 
@@ -137,13 +110,15 @@ def project(with_factors: bool, with_slopes: bool, *arrays: Array) -> Projection
     are_wanted = True, True, True, with_factors, with_slopes, True
     shapes = [(*splats, *width) if is_wanted else (0,) for width, is_wanted in zip(widths, are_wanted, strict=True)]
     results = [*(jax.ShapeDtypeStruct(shape, np.float32) for shape in shapes), jax.ShapeDtypeStruct(splats, bool)]
-    means2d, depths, conics, factors, slopes, extents, visible = _call("project", results, *arrays)
+    means2d, depths, conics, factors, slopes, extents, visible = _call(_projection.project, results, *arrays)
     return Projection(means2d, depths, conics, extents, visible, factors, slopes)
 
 
 def project_gradient(*arrays: Array) -> list[Array]:
     """Gradients to means, quats and scales, given what `project` was and the cotangents of its differentiable parts."""
-    return _call("project_gradient", [jax.ShapeDtypeStruct(each.shape, np.float32) for each in arrays[:3]], *arrays)
+    return _call(
+        _projection.project_gradient, [jax.ShapeDtypeStruct(each.shape, np.float32) for each in arrays[:3]], *arrays
+    )
 
 
 def adam(parameters: Array, gradients: Array, mu: Array, nu: Array, numbers: Array, skipped: Array) -> list[Array]:
@@ -151,12 +126,12 @@ def adam(parameters: Array, gradients: Array, mu: Array, nu: Array, numbers: Arr
     result = jax.ShapeDtypeStruct(parameters.shape, np.float32)
     places = {0: 0, 2: 1, 3: 2}
     arguments = parameters, gradients, mu, nu, numbers, skipped
-    return _call("adam", [result] * 3, *arguments, input_output_aliases=places)
+    return _call(_updates.adam, [result] * 3, *arguments, input_output_aliases=places)
 
 
 def all_finite(*arrays: Array) -> Array:
     """`rasterizer.all_finite` of float32 arrays."""
-    return _call("all_finite", jax.ShapeDtypeStruct((), bool), *arrays)
+    return _call(_updates.all_finite, jax.ShapeDtypeStruct((), bool), *arrays)
 
 
 def ssim(image: Array, target: Array, mask: Array) -> tuple[Array, Array]:
@@ -164,24 +139,26 @@ def ssim(image: Array, target: Array, mask: Array) -> tuple[Array, Array]:
     height, width, channels = image.shape
     tiles = -(-height // _similarity.TILE_ROWS) * -(-width // (_similarity.WIDTH // channels))
     results = jax.ShapeDtypeStruct((tiles,), np.float32), jax.ShapeDtypeStruct((3, *image.shape), np.float32)
-    sums, slopes = _call("ssim", results, image, target, mask)
+    sums, slopes = _call(_similarity.ssim, results, image, target, mask)
     return jnp.sum(sums), slopes
 
 
 def ssim_gradient(image: Array, target: Array, mask: Array, slopes: Array, cotangent: Array) -> Array:
     """`[H, W, C]` gradient of that sum to the image."""
-    return _call("ssim_gradient", jax.ShapeDtypeStruct(image.shape, np.float32), image, target, mask, slopes, cotangent)
+    return _call(
+        _similarity.ssim_gradient, jax.ShapeDtypeStruct(image.shape, np.float32), image, target, mask, slopes, cotangent
+    )
 
 
 def upper_bands(dirs: Array, coeffs: Array, weights: Array) -> Array:
     """`[N, 3]` values of `rasterizer.upper_bands`; `weights` have one row or N."""
-    return _call("upper_bands", jax.ShapeDtypeStruct(dirs.shape, np.float32), dirs, coeffs, weights)
+    return _call(_harmonics.upper_bands, jax.ShapeDtypeStruct(dirs.shape, np.float32), dirs, coeffs, weights)
 
 
 def upper_bands_gradient(dirs: Array, coeffs: Array, weights: Array, cotangents: Array) -> tuple[Array, Array]:
     """Gradients to directions and coefficients."""
     results = [jax.ShapeDtypeStruct(each.shape, np.float32) for each in (dirs, coeffs)]
-    d_dirs, d_coeffs = _call("upper_bands_gradient", results, dirs, coeffs, weights, cotangents)
+    d_dirs, d_coeffs = _call(_harmonics.upper_bands_gradient, results, dirs, coeffs, weights, cotangents)
     return d_dirs, d_coeffs
 
 

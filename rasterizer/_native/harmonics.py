@@ -9,24 +9,20 @@ import numpy as np
 
 from rasterizer._native.blending import ONE, ZERO
 from rasterizer._native.calls import (
-    HANDLER,
-    TASK,
     argument,
-    data,
-    item_after,
-    job_of,
+    do_rows,
+    finish,
     length,
-    let_go,
-    next_item,
-    no_memory,
+    note_arguments,
+    note_results,
     only_introduces,
-    result,
-    set_word,
+    rows_of,
+    set_words,
     share,
     word,
 )
-from rasterizer._native.compiled import entry_point, inlined
-from rasterizer._native.instructions import address_of, as_floats, define, floats_at, floats_on_stack, words_on_stack
+from rasterizer._native.compiled import handler, inlined, task
+from rasterizer._native.instructions import address_of, floats_at, floats_on_stack, words_on_stack
 from rasterizer._native.vectors import LANES, absolute, larger, load, square_root, store, where
 
 BLOCK, STRIP = 512, 32  # rows that a thread takes at a time, and those whose basis functions it holds
@@ -174,26 +170,20 @@ def differentiate_row(d_coeffs, slopes, cotangents, coeffs, basis, weights, band
 
 
 @inlined
-def row_of(job, place, row, width):
-    """The numbers of a row."""
-    return floats_at(as_floats(word(job, place)), row * width)
-
-
-@inlined
 def weights_of(job, row):
     """The weights of a row."""
-    return row_of(job, _WEIGHTS, row if word(job, _WEIGHT_ROWS) > 1 else 0, word(job, _BANDS))
+    return rows_of(job, _WEIGHTS, row if word(job, _WEIGHT_ROWS) > 1 else 0, word(job, _BANDS))
 
 
 @inlined
 def evaluate_strip(job, first, count):
     """Writes the values of a strip of rows."""
     strip, basis, bands = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), word(job, _BANDS)
-    read_directions(strip, row_of(job, _DIRS, first, 3), count)
+    read_directions(strip, rows_of(job, _DIRS, first, 3), count)
     evaluate_basis(basis, strip, bands)
     for i in range(count):
         row = first + i
-        values, coeffs = row_of(job, _VALUES, row, CHANNELS), row_of(job, _COEFFS, row, CHANNELS * bands)
+        values, coeffs = rows_of(job, _VALUES, row, CHANNELS), rows_of(job, _COEFFS, row, CHANNELS * bands)
         sum_row(values, coeffs, floats_at(basis, i), weights_of(job, row), bands)
 
 
@@ -202,81 +192,59 @@ def differentiate_strip(job, first, count):
     """Writes the gradients of a strip of rows."""
     strip, basis, slopes = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), floats_on_stack(HELD)
     bands = word(job, _BANDS)
-    read_directions(strip, row_of(job, _DIRS, first, 3), count)
+    read_directions(strip, rows_of(job, _DIRS, first, 3), count)
     evaluate_basis(basis, strip, bands)
     for i in range(count):
         row = first + i
-        d_coeffs = row_of(job, _D_COEFFS, row, CHANNELS * bands)
-        coeffs = row_of(job, _COEFFS, row, CHANNELS * bands)
-        cotangents, weights = row_of(job, _VALUES, row, CHANNELS), weights_of(job, row)
+        d_coeffs = rows_of(job, _D_COEFFS, row, CHANNELS * bands)
+        coeffs = rows_of(job, _COEFFS, row, CHANNELS * bands)
+        cotangents, weights = rows_of(job, _VALUES, row, CHANNELS), weights_of(job, row)
         differentiate_row(d_coeffs, floats_at(slopes, i), cotangents, coeffs, floats_at(basis, i), weights, bands)
     differentiate_directions(strip, slopes, bands)
-    d_dirs = row_of(job, _D_DIRS, first, 3)
+    d_dirs = rows_of(job, _D_DIRS, first, 3)
     for i in range(count):
         d_dirs[3 * i], d_dirs[3 * i + 1], d_dirs[3 * i + 2] = strip[_X + i], strip[_Y + i], strip[_Z + i]
 
 
-@entry_point(TASK)
-def evaluate_in_threads(shared):
+@task
+def evaluate_bands(shared):
     """Evaluates blocks until none is left."""
-    job, item = job_of(shared), next_item(shared)
-    while item >= 0:
-        end = min((item + 1) * BLOCK, word(job, _ROWS))
-        for first in range(item * BLOCK, end, STRIP):
-            evaluate_strip(job, first, min(STRIP, end - first))
-        item = item_after(shared)
-    let_go(shared)
+    do_rows(shared, _ROWS, BLOCK, STRIP, evaluate_strip)
 
 
-@entry_point(TASK)
-def differentiate_in_threads(shared):
+@task
+def differentiate_bands(shared):
     """Differentiates blocks until none is left."""
-    job, item = job_of(shared), next_item(shared)
-    while item >= 0:
-        end = min((item + 1) * BLOCK, word(job, _ROWS))
-        for first in range(item * BLOCK, end, STRIP):
-            differentiate_strip(job, first, min(STRIP, end - first))
-        item = item_after(shared)
-    let_go(shared)
-
-
-define("rasterizer_evaluate_bands_in_threads", evaluate_in_threads.address)
-define("rasterizer_differentiate_bands_in_threads", differentiate_in_threads.address)
+    do_rows(shared, _ROWS, BLOCK, STRIP, differentiate_strip)
 
 
 @inlined
 def read_arguments(frame, job):
     """Writes sizes and addresses of directions, coefficients and weights; returns the number of blocks."""
     rows = length(argument(frame, 0), 0)
-    set_word(job, _ROWS, rows)
-    set_word(job, _BANDS, length(argument(frame, 1), 1))
-    set_word(job, _WEIGHT_ROWS, length(argument(frame, 2), 0))
-    for place in range(3):
-        set_word(job, _DIRS + place, data(argument(frame, place)))
+    set_words(job, _ROWS, rows, length(argument(frame, 1), 1), length(argument(frame, 2), 0))
+    note_arguments(frame, 0, 3, job, _DIRS)
     return (rows + BLOCK - 1) // BLOCK
 
 
-@entry_point(HANDLER)
+@handler
 def upper_bands(frame):
     """(directions, coefficients, weights) -> values."""
     if only_introduces(frame):
         return 0
     job = words_on_stack(_JOB_WORDS)
     blocks = read_arguments(frame, job)
-    set_word(job, _VALUES, data(result(frame, 0)))
-    return 0 if share(frame, address_of("rasterizer_evaluate_bands_in_threads"), job, blocks) else no_memory(frame)
+    note_results(frame, 0, 1, job, _VALUES)
+    return finish(frame, share(frame, address_of("rasterizer_evaluate_bands"), job, blocks))
 
 
-@entry_point(HANDLER)
+@handler
 def upper_bands_gradient(frame):
     """(directions, coefficients, weights, cotangents of the values) -> gradients to directions and coefficients."""
     if only_introduces(frame):
         return 0
     job = words_on_stack(_JOB_WORDS)
     blocks = read_arguments(frame, job)
-    set_word(job, _VALUES, data(argument(frame, 3)))
-    set_word(job, _D_DIRS, data(result(frame, 0)))
-    set_word(job, _D_COEFFS, data(result(frame, 1)))
-    if not share(frame, address_of("rasterizer_differentiate_bands_in_threads"), job, blocks):
-        return no_memory(frame)
-    return 0
+    note_arguments(frame, 3, 1, job, _VALUES)
+    note_results(frame, 0, 2, job, _D_DIRS)
+    return finish(frame, share(frame, address_of("rasterizer_differentiate_bands"), job, blocks))

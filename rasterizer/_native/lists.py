@@ -9,33 +9,29 @@ import numpy as np
 from rasterizer._native.blending import HALF, ONE, ZERO
 from rasterizer._native.calls import (
     ARGUMENTS,
-    HANDLER,
-    TASK,
     allocate,
     data,
+    do_items,
+    finish,
     flags,
     floats,
     int32s,
-    item_after,
-    job_of,
+    int32s_of,
     length,
-    let_go,
-    next_item,
-    no_memory,
     only_introduces,
     release,
     result,
     set_word,
+    set_words,
     share,
     word,
 )
-from rasterizer._native.compiled import entry_point, inlined
+from rasterizer._native.compiled import handler, inlined, task
 from rasterizer._native.instructions import (
     address_of,
     as_floats,
     as_int32s,
     as_int64s,
-    define,
     floats_at,
     int32s_at,
     prefetch,
@@ -80,14 +76,7 @@ def least_sigma(x_low, y_low, x_high, y_high, ellipse):
 def order_by_depth(depths, visible, count, order, keys, other_order, other_keys):
     """Writes the ids of what is visible to `order`, front to back, equal depths by id; returns how many there are.
 
-    Args:
-        depths: `[count]` the bits of the depths as int32: they order as the depths do, since these are positive.
-        visible: `[count]` bytes.
-        count: How many splats there are.
-        order: `[count]` int32, written.
-        keys: `[count]` int32, workspace, as the other two.
-        other_order: Workspace.
-        other_keys: Workspace.
+    All but `visible` are `[count]` int32. The bits of depths order as these do, since they are positive.
     """
     num_visible = 0
     for splat in range(count):
@@ -174,7 +163,7 @@ def band_of(row, rows):
 @inlined
 def write_chunk(job, chunk):
     """Writes where some of the ordered splats are, one after the other, so that the bands read them in one sweep."""
-    num_visible, order = word(job, _SHOWN), as_int32s(word(job, _ORDER))
+    num_visible, order = word(job, _SHOWN), int32s_of(job, _ORDER)
     means2d, conics = floats(list_argument(job, 0)), floats(list_argument(job, 1))
     extents, cuts, sizes = floats(list_argument(job, 3)), floats(list_argument(job, 5)), int32s(list_argument(job, 7))
     across, down, side = np.float32(sizes[_ACROSS]), np.float32(sizes[_DOWN]), np.float32(sizes[_SIDE])
@@ -222,7 +211,7 @@ def share_out(job):
 @inlined
 def write_members(job):
     """Writes the splats of every band, in their order."""
-    starts, members = as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
+    starts, members = as_int64s(job + 8 * _STARTS), int32s_of(job, _MEMBERS)
     for k in range(word(job, _SHOWN)):
         span = span_of(job, k)
         for band in range(span[0], span[1]):
@@ -246,9 +235,9 @@ def is_listed(ellipse, column, row, side, masks, masked, tile):
 @inlined
 def list_band(job, band, filling):
     """Counts the splats of every tile of a band; or, where these are known, writes its lists."""
-    starts, members = as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
+    starts, members = as_int64s(job + 8 * _STARTS), int32s_of(job, _MEMBERS)
     sizes, masks, masked = int32s(list_argument(job, 7)), flags(list_argument(job, 6)), length(list_argument(job, 6), 0)
-    splats, capacity = as_int32s(word(job, SPLATS)), word(job, _CAPACITY)
+    splats, capacity = int32s_of(job, SPLATS), word(job, _CAPACITY)
     counts = as_int64s(word(job, _COUNTS))
     across, rows, side = np.int64(sizes[_ACROSS]), np.int64(sizes[_DOWN]) * sizes[_CAMERAS], np.int64(sizes[_SIDE])
     first, end = first_row_of(band, rows), first_row_of(band + 1, rows)
@@ -271,22 +260,21 @@ def list_band(job, band, filling):
                     counts[tile] += 1
 
 
-@entry_point(TASK)
+@inlined
+def do_step(job, item):
+    """Does an item of a job's step."""
+    if word(job, _STEP) == _WRITE:
+        write_chunk(job, item)
+    elif word(job, _STEP) == _TALLY:
+        list_band(job, item, False)
+    else:
+        list_band(job, item, True)
+
+
+@task
 def list_in_threads(shared):
     """Does items of a job's step until none is left."""
-    job, item = job_of(shared), next_item(shared)
-    while item >= 0:
-        if word(job, _STEP) == _WRITE:
-            write_chunk(job, item)
-        elif word(job, _STEP) == _TALLY:
-            list_band(job, item, False)
-        else:
-            list_band(job, item, True)
-        item = item_after(shared)
-    let_go(shared)
-
-
-define("rasterizer_list_in_threads", list_in_threads.address)
+    do_items(shared, do_step)
 
 
 @inlined
@@ -308,7 +296,7 @@ def write_offsets(job, tiles):
             total += counts[tile]
         set_word(job, SPLATS, allocate(4 * total))
         set_word(job, _CAPACITY, total)
-    capacity, total, offsets = word(job, _CAPACITY), 0, as_int32s(word(job, OFFSETS))
+    capacity, total, offsets = word(job, _CAPACITY), 0, int32s_of(job, OFFSETS)
     for tile in range(tiles):
         length_of_list = counts[tile]
         offsets[tile], counts[tile] = min(total, capacity), total
@@ -321,32 +309,20 @@ def write_offsets(job, tiles):
 def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
     """Lists the splats. Whether there was memory for all that is written on the way.
 
-    Args:
-        job: Address of `LIST_WORDS` words, written.
-        frame: Of XLA's call.
-        arguments: Address of the records of the arguments of `lists`.
-        tiles: How many lists there are.
-        splats: Address of the lists; 0 for memory of their length, whose address is then the job's `SPLATS`.
-        capacity: Length of that memory.
-        offsets: The same of the offsets; `OFFSETS`.
+    Where `splats` and `offsets` are 0, lists and offsets come to fresh memory, at the job's `SPLATS` and `OFFSETS`. The
+    job is the address of `LIST_WORDS` words, `arguments` that of the records of the arguments of `lists`.
     """
-    set_word(job, _FRAME, frame)
-    set_word(job, _ARGUMENTS, arguments)
-    set_word(job, SPLATS, splats)
-    set_word(job, _CAPACITY, capacity)
-    set_word(job, OFFSETS, offsets if offsets != 0 else allocate(4 * (tiles + 1)))
+    offsets = offsets if offsets != 0 else allocate(4 * (tiles + 1))
+    set_words(job, _FRAME, frame, arguments, splats, capacity, offsets)
     count = length(list_argument(job, 2), 0)
-    at_order, at_work = allocate(4 * count), allocate(12 * count)
-    at_records, at_spans, at_counts = allocate(LINE * (count + 1)), allocate(SPAN * count), allocate(8 * tiles)
-    at_members = 0
-    done = at_order != 0 and at_work != 0 and at_records != 0 and at_spans != 0 and at_counts != 0
-    done = done and word(job, OFFSETS) != 0
+    workspace, at_members = allocate(LINE * (count + 1) + 8 * tiles + (4 + SPAN + 12) * count), 0
+    done = workspace != 0 and offsets != 0
     if done:
-        order, work = as_int32s(at_order), as_int32s(at_work)
-        set_word(job, _ORDER, at_order)
-        set_word(job, _RECORDS, (at_records + LINE - 1) // LINE * LINE)
-        set_word(job, _SPANS, at_spans)
-        set_word(job, _COUNTS, at_counts)
+        set_word(job, _RECORDS, (workspace + LINE - 1) // LINE * LINE)
+        set_word(job, _COUNTS, word(job, _RECORDS) + LINE * count)
+        set_word(job, _ORDER, word(job, _COUNTS) + 8 * tiles)
+        set_word(job, _SPANS, word(job, _ORDER) + 4 * count)
+        order, work = int32s_of(job, _ORDER), as_int32s(word(job, _SPANS) + SPAN * count)
         depths, visible = int32s(list_argument(job, 2)), flags(list_argument(job, 4))
         num_visible = order_by_depth(
             depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count)
@@ -362,23 +338,18 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
         write_members(job)
         done = share_step(job, _TALLY, BANDS)
     done = done and write_offsets(job, tiles) and share_step(job, _FILL, BANDS)
-    release(at_order)
-    release(at_work)
-    release(at_records)
-    release(at_spans)
-    release(at_counts)
+    release(workspace)
     release(at_members)
     return done
 
 
-@entry_point(HANDLER)
+@handler
 def lists(frame):
     """(means2d, conics, depths, extents, visible, cuts, masks, sizes) -> splats, offsets, needed."""
     if only_introduces(frame):
         return 0
     job, splats, offsets = words_on_stack(LIST_WORDS), result(frame, 0), result(frame, 1)
     to_write = data(splats), length(splats, 0), data(offsets)
-    if not list_splats(job, frame, word(frame, ARGUMENTS), length(offsets, 0) - 1, *to_write):
-        return no_memory(frame)
-    int32s(result(frame, 2))[0] = min(word(job, _NEEDED), 2**31 - 1)
-    return 0
+    done = list_splats(job, frame, word(frame, ARGUMENTS), length(offsets, 0) - 1, *to_write)
+    int32s(result(frame, 2))[0] = min(word(job, _NEEDED), 2**31 - 1) if done else 0
+    return finish(frame, done)

@@ -13,31 +13,29 @@ import numpy as np
 from rasterizer._native.blending import HALF, ONE, ZERO, Thresholds
 from rasterizer._native.calls import (
     ARGUMENTS,
-    HANDLER,
-    TASK,
     allocate,
     argument,
     count_arguments,
-    data,
-    item_after,
-    job_of,
+    do_items,
+    finish,
+    floats_of,
+    int32s_of,
     length,
-    let_go,
-    next_item,
-    no_memory,
+    note_arguments,
+    note_results,
     only_introduces,
     release,
     result,
     set_word,
+    set_words,
     share,
     word,
 )
-from rasterizer._native.compiled import entry_point, inlined
+from rasterizer._native.compiled import handler, inlined, task
 from rasterizer._native.instructions import (
     address_of,
     as_floats,
     as_int32s,
-    define,
     floats_at,
     int32s_at,
     prefetch,
@@ -48,7 +46,7 @@ from rasterizer._native.tiles import (
     CHANNELS,
     GEOMETRY,
     REACH,
-    at_least_three,
+    THREE,
     blend_tile,
     reach_along_y,
     unblend_tile,
@@ -61,8 +59,8 @@ LISTED = 8  # arguments of `lists`
 # Of a job: its frame, the step that threads share, whether memory was lacking; addresses of the numbers of arguments
 # and results; how many rows and tiles there are; then two words a band: where its splats' sums are, and these.
 _FRAME, _STEP, _LACKED, _SIZES, _RULES = range(5)
-_ROWS, _SPLATS, _OFFSETS, _FEATURES, _LIGHT, _LAST, _MEDIAN, _D_LIGHT, _D_ROWS = range(5, 14)
-_COUNT, _GIVEN, _TILES, _BANDS = range(14, 18)
+_ROWS, _SPLATS, _OFFSETS, _FEATURES, _LIGHT, _LAST, _MEDIAN, _D_FEATURES, _D_LIGHT, _D_ROWS = range(5, 15)
+_COUNT, _GIVEN, _TILES, _BANDS = range(15, 19)
 _JOB_WORDS = _BANDS + 2 * BANDS
 _BLEND, _UNBLEND, _ADD = range(3)  # steps
 # Of `sizes`: tiles along a row, tiles of a camera, side of a tile in pixels, channels that end in front, whether the
@@ -97,26 +95,23 @@ def tile_center(tile, sizes):
 
 
 @inlined
-def gather(rows, count, on, in_front, splats, pairs, alpha_min, places, ids, near):
-    """Copies the rows of a band's splats next to each other, as `tiles` wants them.
-
-    Args:
-        rows: `[count, GEOMETRY + on + in_front]` all splats.
-        count: How many.
-        on: Channels that are blended to the end.
-        in_front: Channels that end in front.
-        splats: `[pairs]` the band's lists.
-        pairs: How many.
-        alpha_min: The alpha cut.
-        places: `[count]` int32, written: where a splat's copy is, -1 for none.
-        ids: `[pairs]` int32, written: the lists in terms of copies.
-        near: `[.., CHANNELS + D]`, written: the copies.
+def gather(job, from_tile, to_tile):
+    """Copies the rows of the splats that some tiles show next to each other, as `tiles` wants them.
 
     Returns:
-        The number of copies.
+        Addresses of int32 where each splat's copy is (-1 for none), of the tiles' lists in terms of copies, and of the
+        copies; and how many these are, -1 where memory was lacking.
     """
-    through = at_least_three(on)
-    row_size, width, copies = GEOMETRY + on + in_front, CHANNELS + through + in_front, 0
+    rows, offsets = floats_of(job, _ROWS), int32s_of(job, _OFFSETS)
+    count, on, in_front, width, _ = shape_of(job)
+    through, row_size, copies = max(on, THREE), word(job, _GIVEN), 0
+    start, pairs = np.int64(offsets[from_tile]), np.int64(offsets[to_tile]) - offsets[from_tile]
+    at_places, at_ids, at_near = allocate(4 * count), allocate(4 * pairs), allocate(4 * min(pairs, count) * width)
+    if at_places == 0 or at_ids == 0 or at_near == 0:
+        set_word(job, _LACKED, 1)
+        return at_places, at_ids, at_near, -1
+    splats, alpha_min = int32s_at(int32s_of(job, _SPLATS), start), floats_of(job, _RULES)[1]
+    places, ids, near = as_int32s(at_places), as_int32s(at_ids), as_floats(at_near)
     for splat in range(count):
         places[splat] = -1
     for k in range(pairs):
@@ -139,19 +134,7 @@ def gather(rows, count, on, in_front, splats, pairs, alpha_min, places, ids, nea
     for place in range(copies):
         copy = floats_at(near, place * width)
         copy[REACH] = reach_along_y(copy[2], copy[3], copy[4], copy[5], alpha_min)
-    return copies
-
-
-@inlined
-def floats_of(job, place):
-    """The float32 numbers at an address of a job."""
-    return as_floats(word(job, place))
-
-
-@inlined
-def int32s_of(job, place):
-    """The int32 numbers at an address of a job."""
-    return as_int32s(word(job, place))
+    return at_places, at_ids, at_near, copies
 
 
 @inlined
@@ -160,7 +143,7 @@ def shape_of(job):
     sizes, row_size = int32s_of(job, _SIZES), word(job, _GIVEN)
     in_front = np.int64(sizes[_IN_FRONT])
     on = row_size - GEOMETRY - in_front
-    return word(job, _COUNT), on, in_front, CHANNELS + at_least_three(on) + in_front, np.int64(sizes[_SIDE])
+    return word(job, _COUNT), on, in_front, CHANNELS + max(on, THREE) + in_front, np.int64(sizes[_SIDE])
 
 
 @inlined
@@ -172,19 +155,16 @@ def probes_of(job):
 @inlined
 def blend_band(job, band):
     """Blends the tiles of a band."""
-    rows, splats, offsets = floats_of(job, _ROWS), int32s_of(job, _SPLATS), int32s_of(job, _OFFSETS)
-    sizes, rules = int32s_of(job, _SIZES), floats_of(job, _RULES)
+    offsets, sizes, rules = int32s_of(job, _OFFSETS), int32s_of(job, _SIZES), floats_of(job, _RULES)
     features, light = floats_of(job, _FEATURES), floats_of(job, _LIGHT)
     last, median = int32s_of(job, _LAST), int32s_of(job, _MEDIAN)
-    count, on, in_front, width, side = shape_of(job)
+    _, on, in_front, _, side = shape_of(job)
     tiles, pixels = word(job, _TILES), side * side
 
     from_tile, to_tile = first_tile(offsets, tiles, band), first_tile(offsets, tiles, band + 1)
-    start, pairs = np.int64(offsets[from_tile]), np.int64(offsets[to_tile]) - offsets[from_tile]
-    at_places, at_ids, at_near = allocate(4 * count), allocate(4 * pairs), allocate(4 * min(pairs, count) * width)
-    if at_places != 0 and at_ids != 0 and at_near != 0:
-        places, ids, near = as_int32s(at_places), as_int32s(at_ids), as_floats(at_near)
-        gather(rows, count, on, in_front, int32s_at(splats, start), pairs, rules[1], places, ids, near)
+    at_places, at_ids, at_near, copies = gather(job, from_tile, to_tile)
+    if copies >= 0:
+        ids, near, start = as_int32s(at_ids), as_floats(at_near), np.int64(offsets[from_tile])
         for tile in range(from_tile, to_tile):
             x, y = tile_center(tile, sizes)
             blend_tile(
@@ -193,8 +173,6 @@ def blend_band(job, band):
                 floats_at(features, tile * (on + in_front) * pixels), floats_at(light, tile * pixels),
                 int32s_at(last, tile * pixels), int32s_at(median, tile * pixels),
             )  # fmt: skip
-    else:
-        set_word(job, _LACKED, 1)
     release(at_places)
     release(at_ids)
     release(at_near)
@@ -203,20 +181,17 @@ def blend_band(job, band):
 @inlined
 def unblend_band(job, band):
     """Sums, of every splat that a band's tiles show, the moments of dL/dsigma and the gradients to channels."""
-    rows, splats, offsets = floats_of(job, _ROWS), int32s_of(job, _SPLATS), int32s_of(job, _OFFSETS)
-    sizes, rules = int32s_of(job, _SIZES), floats_of(job, _RULES)
-    d_features, d_light = floats_of(job, _FEATURES), floats_of(job, _D_LIGHT)
+    offsets, sizes, rules = int32s_of(job, _OFFSETS), int32s_of(job, _SIZES), floats_of(job, _RULES)
+    d_features, d_light = floats_of(job, _D_FEATURES), floats_of(job, _D_LIGHT)
     light, last = floats_of(job, _LIGHT), int32s_of(job, _LAST)
-    count, on, in_front, width, side = shape_of(job)
+    _, on, in_front, width, side = shape_of(job)
     tiles, pixels, probes = word(job, _TILES), side * side, probes_of(job)
 
     from_tile, to_tile = first_tile(offsets, tiles, band), first_tile(offsets, tiles, band + 1)
-    start, pairs = np.int64(offsets[from_tile]), np.int64(offsets[to_tile]) - offsets[from_tile]
-    at_places, at_ids, at_near = allocate(4 * count), allocate(4 * pairs), allocate(4 * min(pairs, count) * width)
+    at_places, at_ids, at_near, copies = gather(job, from_tile, to_tile)
     at_sums = 0
-    if at_places != 0 and at_ids != 0 and at_near != 0:
-        places, ids, near = as_int32s(at_places), as_int32s(at_ids), as_floats(at_near)
-        copies = gather(rows, count, on, in_front, int32s_at(splats, start), pairs, rules[1], places, ids, near)
+    if copies >= 0:
+        ids, near, start = as_int32s(at_ids), as_floats(at_near), np.int64(offsets[from_tile])
         at_sums = allocate(4 * copies * (width + probes))
         if at_sums != 0:
             sums = as_floats(at_sums)
@@ -234,8 +209,7 @@ def unblend_band(job, band):
         set_word(job, _LACKED, 1)
     release(at_ids)
     release(at_near)
-    set_word(job, _BANDS + 2 * band, at_places)
-    set_word(job, _BANDS + 2 * band + 1, at_sums)
+    set_words(job, _BANDS + 2 * band, at_places, at_sums)
 
 
 @inlined
@@ -243,7 +217,7 @@ def add_chunk(job, chunk):
     """Adds what the bands summed for some of the rows, and applies the chain rule of `compositing.chain_to_rows`."""
     rows, d_rows, row_size = floats_of(job, _ROWS), floats_of(job, _D_ROWS), word(job, _GIVEN)
     count, on, in_front, width, _ = shape_of(job)
-    through, probes = at_least_three(on), probes_of(job)
+    through, probes = max(on, THREE), probes_of(job)
     for splat in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
         row, total = floats_at(rows, splat * row_size), floats_at(d_rows, splat * (row_size + probes))
         for c in range(row_size + probes):
@@ -267,22 +241,21 @@ def add_chunk(job, chunk):
         total[5] = -m1 / (opacity if opacity > ZERO else ONE)
 
 
-@entry_point(TASK)
+@inlined
+def do_step(job, item):
+    """Does an item of a job's step."""
+    if word(job, _STEP) == _BLEND:
+        blend_band(job, item)
+    elif word(job, _STEP) == _UNBLEND:
+        unblend_band(job, item)
+    else:
+        add_chunk(job, item)
+
+
+@task
 def pass_in_threads(shared):
     """Does items of a job's step until none is left."""
-    job, item = job_of(shared), next_item(shared)
-    while item >= 0:
-        if word(job, _STEP) == _BLEND:
-            blend_band(job, item)
-        elif word(job, _STEP) == _UNBLEND:
-            unblend_band(job, item)
-        else:
-            add_chunk(job, item)
-        item = item_after(shared)
-    let_go(shared)
-
-
-define("rasterizer_pass_in_threads", pass_in_threads.address)
+    do_items(shared, do_step)
 
 
 @inlined
@@ -297,30 +270,19 @@ def share_step(job, step, items):
 def begin(job, lists_job, frame, listed, tiles):
     """Writes what both passes read, and lists the splats where the caller gave no lists. Whether there was memory.
 
-    Args:
-        job: Address of `_JOB_WORDS` words, written.
-        lists_job: Address of `LIST_WORDS` words, written.
-        frame: Of the call: rows, the lists or the arguments of `lists`, the pass's own arguments, sizes, rules.
-        listed: How many arguments the lists are.
-        tiles: How many tiles there are.
+    A frame has rows, `listed` arguments (the lists or the arguments of `lists`), the pass's own, sizes and rules.
     """
     for place in range(_JOB_WORDS):
         set_word(job, place, 0)
-    rows, last = argument(frame, 0), count_arguments(frame) - 1
     set_word(job, _FRAME, frame)
-    set_word(job, _SIZES, data(argument(frame, last - 1)))
-    set_word(job, _RULES, data(argument(frame, last)))
-    set_word(job, _ROWS, data(rows))
-    set_word(job, _COUNT, length(rows, 0))
-    set_word(job, _GIVEN, length(rows, 1))
-    set_word(job, _TILES, tiles)
+    note_arguments(frame, count_arguments(frame) - 2, 2, job, _SIZES)
+    note_arguments(frame, 0, 1, job, _ROWS)
+    set_words(job, _COUNT, length(argument(frame, 0), 0), length(argument(frame, 0), 1), tiles)
     if listed == LISTED:
         done = list_splats(lists_job, frame, word(frame, ARGUMENTS) + 8, tiles, 0, 0, 0)
-        set_word(job, _SPLATS, word(lists_job, SPLATS))
-        set_word(job, _OFFSETS, word(lists_job, OFFSETS))
+        set_words(job, _SPLATS, word(lists_job, SPLATS), word(lists_job, OFFSETS))
         return done
-    set_word(job, _SPLATS, data(argument(frame, 1)))
-    set_word(job, _OFFSETS, data(argument(frame, 2)))
+    note_arguments(frame, 1, 2, job, _SPLATS)
     return True
 
 
@@ -344,7 +306,7 @@ def name_medians(job, pixels):
                 medians[p] = splats[offsets[tile] + medians[p]]
 
 
-@entry_point(HANDLER)
+@handler
 def forward(frame):
     """(rows, *lists, sizes, rules) -> features, light, last, median; see `compositing.Engine`."""
     if only_introduces(frame):
@@ -352,16 +314,15 @@ def forward(frame):
     job, lists_job, listed = words_on_stack(_JOB_WORDS), words_on_stack(LIST_WORDS), count_arguments(frame) - 3
     done = begin(job, lists_job, frame, listed, length(result(frame, 1), 0))
     if done:
-        for place in range(4):
-            set_word(job, _FEATURES + place, data(result(frame, place)))
+        note_results(frame, 0, 4, job, _FEATURES)
         done = share_step(job, _BLEND, BANDS)
     if done:
         name_medians(job, length(result(frame, 1), 1))
     end(job, listed)
-    return 0 if done else no_memory(frame)
+    return finish(frame, done)
 
 
-@entry_point(HANDLER)
+@handler
 def backward(frame):
     """(rows, *lists, light, last, d_features, d_light, sizes, rules) -> d_rows."""
     if only_introduces(frame):
@@ -369,11 +330,9 @@ def backward(frame):
     job, lists_job, listed = words_on_stack(_JOB_WORDS), words_on_stack(LIST_WORDS), count_arguments(frame) - 7
     done = begin(job, lists_job, frame, listed, length(argument(frame, listed + 1), 0))
     if done:
-        set_word(job, _LIGHT, data(argument(frame, listed + 1)))
-        set_word(job, _LAST, data(argument(frame, listed + 2)))
-        set_word(job, _FEATURES, data(argument(frame, listed + 3)))
-        set_word(job, _D_LIGHT, data(argument(frame, listed + 4)))
-        set_word(job, _D_ROWS, data(result(frame, 0)))
+        note_arguments(frame, listed + 1, 2, job, _LIGHT)
+        note_arguments(frame, listed + 3, 2, job, _D_FEATURES)
+        note_results(frame, 0, 1, job, _D_ROWS)
         done = share_step(job, _UNBLEND, BANDS) and share_step(job, _ADD, CHUNKS)
     end(job, listed)
-    return 0 if done else no_memory(frame)
+    return finish(frame, done)

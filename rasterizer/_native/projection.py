@@ -10,24 +10,22 @@ import numpy as np
 
 from rasterizer._native.blending import ONE, ZERO
 from rasterizer._native.calls import (
-    HANDLER,
-    TASK,
     argument,
-    data,
-    item_after,
-    job_of,
+    do_rows,
+    finish,
+    floats_of,
     length,
-    let_go,
-    next_item,
-    no_memory,
+    note_arguments,
+    note_results,
     only_introduces,
-    result,
+    rows_of,
     set_word,
+    set_words,
     share,
     size,
     word,
 )
-from rasterizer._native.compiled import entry_point, inlined
+from rasterizer._native.compiled import handler, inlined, task
 from rasterizer._native.ewa import (
     Lens,
     axes_gradient,
@@ -42,15 +40,7 @@ from rasterizer._native.ewa import (
     tilt_gradient,
     tilt_of,
 )
-from rasterizer._native.instructions import (
-    address_of,
-    as_bytes,
-    as_floats,
-    define,
-    floats_at,
-    floats_on_stack,
-    words_on_stack,
-)
+from rasterizer._native.instructions import address_of, as_bytes, floats_on_stack, words_on_stack
 from rasterizer._native.vectors import LANES, broadcast, floor, load, square_root, store, where
 
 BLOCK = 512  # Gaussians that a thread takes at a time
@@ -68,18 +58,6 @@ _JOB_WORDS = 19
 # computed and extents shrink.
 _WIDTH, _HEIGHT, _EPS2D, _NEAR, _FAR, _RADIUS_CLIP, _ALPHA_MIN, _COMPENSATION_MIN, _SIGMAS = range(9)
 _ANTIALIASED, _PLANE, _SHRINKS = 9, 10, 11
-
-
-@inlined
-def rows_of(job, place, row, width):
-    """The numbers of a row and those after it."""
-    return floats_at(as_floats(word(job, place)), row * width)
-
-
-@inlined
-def options_of(job):
-    """The options."""
-    return as_floats(word(job, _OPTIONS))
 
 
 @inlined
@@ -134,7 +112,7 @@ def set_columns_of_two(job, place, row, count, vectors):
 @inlined
 def lens_of(job, camera):
     """A camera's `Lens`."""
-    v, k, options = rows_of(job, _VIEWMATS, camera, 16), rows_of(job, _KS, camera, 9), options_of(job)
+    v, k, options = rows_of(job, _VIEWMATS, camera, 16), rows_of(job, _KS, camera, 9), floats_of(job, _OPTIONS)
     fx, fy, cx, cy = k[0], k[4], k[2], k[5]
     width, height = options[_WIDTH], options[_HEIGHT]
     return Lens(
@@ -167,12 +145,12 @@ def is_usable(job, g, view, lens, opacity):
     # Zero times a number that is not finite is NaN.
     total = ZERO * view.det + ZERO * opacity + ZERO * (xx + yy) + ZERO * (center[0] + center[1])
     total = total + ZERO * conic[0] + ZERO * conic[1] + ZERO * conic[2]
-    if options_of(job)[_PLANE] > ZERO:
+    if floats_of(job, _OPTIONS)[_PLANE] > ZERO:
         tilt = tilt_of(g, view, lens)
         total = total + ZERO * (tilt.steep[0] * tilt.flatter) + ZERO * (tilt.steep[1] * tilt.flatter)
     z = view.depth
     usable = (z > lens.near) & (z < lens.far) & (view.det > ZERO) & (xx > ZERO) & (yy > ZERO)
-    return usable & (opacity >= broadcast(options_of(job)[_ALPHA_MIN])) & (total == ZERO)
+    return usable & (opacity >= broadcast(floats_of(job, _OPTIONS)[_ALPHA_MIN])) & (total == ZERO)
 
 
 @inlined
@@ -186,7 +164,7 @@ def compensation_of(view, least):
 @inlined
 def sigmas_of(job, opacity):
     """The standard deviations up to which a splat can pass the alpha cut."""
-    options, lanes = options_of(job), floats_on_stack(LANES)
+    options, lanes = floats_of(job, _OPTIONS), floats_on_stack(LANES)
     store(lanes, opacity)
     for i in range(LANES):
         sigmas = options[_SIGMAS]
@@ -198,9 +176,16 @@ def sigmas_of(job, opacity):
 
 
 @inlined
-def project_some(job, camera, first, count):
+def project_some(job, first, count):
+    """Projects the Gaussians from a row on into all cameras."""
+    for camera in range(word(job, _CAMERAS)):
+        project_into(job, camera, first, count)
+
+
+@inlined
+def project_into(job, camera, first, count):
     """Projects the Gaussians from a row on into a camera."""
-    lens, options, row = lens_of(job, camera), options_of(job), camera * word(job, _ROWS) + first
+    lens, options, row = lens_of(job, camera), floats_of(job, _OPTIONS), camera * word(job, _ROWS) + first
     g, opacity = gaussians_at(job, first, count), column(rows_of(job, _OPACITIES, first, 1), 1, 0, count)
     view = see(g, lens)
     usable = is_usable(job, g, view, lens, opacity)
@@ -226,7 +211,7 @@ def project_some(job, camera, first, count):
 @inlined
 def set_extents(job, row, count, usable, center, reach):
     """Writes which splats are visible, and their extents."""
-    options = options_of(job)
+    options = floats_of(job, _OPTIONS)
     radius_x, radius_y = -floor(-reach[0]), -floor(-reach[1])  # Whole pixels, as gsplat's are.
     visible = usable & (center[0] + radius_x > ZERO) & (center[0] - radius_x < options[_WIDTH])
     visible = visible & (center[1] + radius_y > ZERO) & (center[1] - radius_y < options[_HEIGHT])
@@ -243,7 +228,7 @@ def set_extents(job, row, count, usable, center, reach):
 @inlined
 def gradient_in_view(job, camera, first, count, g, opacity):
     """Gradients to mean, quaternion and scales of the Gaussians from a row on, as one camera sees them."""
-    lens, options, row = lens_of(job, camera), options_of(job), camera * word(job, _ROWS) + first
+    lens, options, row = lens_of(job, camera), floats_of(job, _OPTIONS), camera * word(job, _ROWS) + first
     view, nothing = see(g, lens), broadcast(ZERO)
     center, conic = columns_of_two(job, _MEANS2D, row, count), columns_of_three(job, _CONICS, row, count)
     depth, to_det, to_sharp = column(rows_of(job, _DEPTHS, row, 1), 1, 0, count), nothing, nothing
@@ -260,21 +245,15 @@ def gradient_in_view(job, camera, first, count, g, opacity):
     more_x, more_y = covariance_gradient(view, lens, conic, to_det, to_sharp)
     to_axes, to_scales, to_row_x, to_row_y = axes_gradient(g, view, lens, plus(to_x, more_x), plus(to_y, more_y), to_z)
     to_mean = mean_gradient(view, lens, center, depth, to_row_x, to_row_y)
-    usable = is_usable(job, g, view, lens, opacity)
-    return where_three(usable, to_mean), where_four(usable, quat_gradient(g, to_axes)), where_three(usable, to_scales)
+    usable, to_quat = is_usable(job, g, view, lens, opacity), quat_gradient(g, to_axes)
+    (x, y, z), w = where_three(usable, to_quat[1:]), where(usable, to_quat[0], ZERO)
+    return where_three(usable, to_mean), (w, x, y, z), where_three(usable, to_scales)
 
 
 @inlined
 def where_three(mask, vectors):
     """Three vectors, and zero where the mask does not hold."""
     return where(mask, vectors[0], ZERO), where(mask, vectors[1], ZERO), where(mask, vectors[2], ZERO)
-
-
-@inlined
-def where_four(mask, vectors):
-    """Four vectors, and zero where the mask does not hold."""
-    (x, y, z), w = where_three(mask, vectors[1:]), where(mask, vectors[0], ZERO)
-    return w, x, y, z
 
 
 @inlined
@@ -310,70 +289,48 @@ def differentiate_some(job, first, count):
         set_column(quats, 4, place + 1, count, to_axis[place])
 
 
-@entry_point(TASK)
-def project_in_threads(shared):
+@task
+def project_blocks(shared):
     """Projects blocks until none is left."""
-    job, item = job_of(shared), next_item(shared)
-    while item >= 0:
-        end = min((item + 1) * BLOCK, word(job, _ROWS))
-        for camera in range(word(job, _CAMERAS)):
-            for first in range(item * BLOCK, end, LANES):
-                project_some(job, camera, first, min(LANES, end - first))
-        item = item_after(shared)
-    let_go(shared)
+    do_rows(shared, _ROWS, BLOCK, LANES, project_some)
 
 
-@entry_point(TASK)
-def differentiate_in_threads(shared):
+@task
+def differentiate_blocks(shared):
     """Differentiates blocks until none is left."""
-    job, item = job_of(shared), next_item(shared)
-    while item >= 0:
-        end = min((item + 1) * BLOCK, word(job, _ROWS))
-        for first in range(item * BLOCK, end, LANES):
-            differentiate_some(job, first, min(LANES, end - first))
-        item = item_after(shared)
-    let_go(shared)
-
-
-define("rasterizer_project_in_threads", project_in_threads.address)
-define("rasterizer_differentiate_projection_in_threads", differentiate_in_threads.address)
+    do_rows(shared, _ROWS, BLOCK, LANES, differentiate_some)
 
 
 @inlined
 def read_arguments(frame, job):
     """Writes sizes and addresses of Gaussians, cameras and options; returns the number of blocks."""
     rows = length(argument(frame, 0), 0)
-    set_word(job, _ROWS, rows)
-    set_word(job, _CAMERAS, length(argument(frame, 4), 0))
-    for place in range(7):
-        set_word(job, _MEANS + place, data(argument(frame, place)))
+    set_words(job, _ROWS, rows, length(argument(frame, 4), 0))
+    note_arguments(frame, 0, 7, job, _MEANS)
     return (rows + BLOCK - 1) // BLOCK
 
 
-@entry_point(HANDLER)
+@handler
 def project(frame):
     """(means, quats, scales, opacities, viewmats, Ks, options) -> the fields of `Projection`, from `means2d` on."""
     if only_introduces(frame):
         return 0
     job = words_on_stack(_JOB_WORDS)
     blocks = read_arguments(frame, job)
-    for place in range(7):
-        set_word(job, _MEANS2D + place, data(result(frame, place)))
-    return 0 if share(frame, address_of("rasterizer_project_in_threads"), job, blocks) else no_memory(frame)
+    note_results(frame, 0, 7, job, _MEANS2D)
+    return finish(frame, share(frame, address_of("rasterizer_project_blocks"), job, blocks))
 
 
-@entry_point(HANDLER)
+@handler
 def project_gradient(frame):
     """(the same, cotangents of means2d, depths, conics, compensations, slopes) -> of means, quats and scales."""
     if only_introduces(frame):
         return 0
     job = words_on_stack(_JOB_WORDS)
     blocks = read_arguments(frame, job)
+    note_arguments(frame, 7, 5, job, _MEANS2D)
     for place in range(5):
-        has_numbers = size(argument(frame, 7 + place)) > 0
-        set_word(job, _MEANS2D + place, data(argument(frame, 7 + place)) if has_numbers else 0)
-    for place in range(3):
-        set_word(job, _D_MEANS + place, data(result(frame, place)))
-    if not share(frame, address_of("rasterizer_differentiate_projection_in_threads"), job, blocks):
-        return no_memory(frame)
-    return 0
+        if size(argument(frame, 7 + place)) == 0:
+            set_word(job, _MEANS2D + place, 0)
+    note_results(frame, 0, 3, job, _D_MEANS)
+    return finish(frame, share(frame, address_of("rasterizer_differentiate_blocks"), job, blocks))

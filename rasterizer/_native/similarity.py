@@ -9,32 +9,21 @@ import numpy as np
 
 from rasterizer._native.blending import ONE, ZERO
 from rasterizer._native.calls import (
-    HANDLER,
-    TASK,
     argument,
-    data,
-    item_after,
-    job_of,
+    do_items,
+    finish,
+    floats_of,
     length,
-    let_go,
-    next_item,
-    no_memory,
+    note_arguments,
+    note_results,
     only_introduces,
-    result,
+    rows_of,
     set_word,
     share,
     word,
 )
-from rasterizer._native.compiled import entry_point, inlined
-from rasterizer._native.instructions import (
-    address_of,
-    as_bytes,
-    as_floats,
-    define,
-    floats_at,
-    floats_on_stack,
-    words_on_stack,
-)
+from rasterizer._native.compiled import handler, inlined, task
+from rasterizer._native.instructions import address_of, as_bytes, floats_at, floats_on_stack, words_on_stack
 
 MAX_IMAGE_CHANNELS, RADIUS = 3, 5  # channels of an image, pixels that the window reaches
 TILE_ROWS, WIDTH = 32, 192  # rows of a tile and numbers of a row, without the border
@@ -51,9 +40,9 @@ _exponentials = np.exp(-0.5 * (np.arange(RADIUS + 1) / 1.5) ** 2)
 W0, W1, W2, W3, W4, W5 = (_exponentials / (2 * _exponentials.sum() - 1)).astype(np.float32)
 C1, C2, TWO = np.float32(0.01**2), np.float32(0.03**2), np.float32(2)
 
-# Of a job: size of the images; addresses of the images, the mask, the slopes, the sum of each tile, the cotangent and
+# Of a job: size of the images; addresses of the images, the mask, the sum of each tile, the slopes, the cotangent and
 # the gradient; how many planes have means: as a literal, LLVM would repeat their loops and compile twice as long.
-_HEIGHT, _COLUMNS, _CHANNELS, _IMAGES, _TARGETS, _MASK, _SLOPES, _SUMS, _SCALE, _GRADIENT, _MEANS = range(11)
+_HEIGHT, _COLUMNS, _CHANNELS, _IMAGES, _TARGETS, _MASK, _SUMS, _SLOPES, _SCALE, _GRADIENT, _MEANS = range(11)
 _JOB_WORDS = 11
 
 
@@ -158,11 +147,8 @@ def read_tile(job, planes, tile):
         valid = floats_at(inset, _VALID + y * HELD_WIDTH)
         read_mask(valid, as_bytes(word(job, _MASK) + y * columns + begin), end - begin, channels)
     for y in range(first, last):
-        place, row = (y * columns + begin) * channels, floats_at(inset, y * HELD_WIDTH)
-        image, target = (
-            floats_at(as_floats(word(job, _IMAGES)), place),
-            floats_at(as_floats(word(job, _TARGETS)), place),
-        )
+        place, row = y * columns + begin, floats_at(inset, y * HELD_WIDTH)
+        image, target = rows_of(job, _IMAGES, place, channels), rows_of(job, _TARGETS, place, channels)
         for i in range((end - begin) * channels):
             is_valid = row[_VALID + i] > ZERO
             a, b = image[i] if is_valid else ZERO, target[i] if is_valid else ZERO
@@ -199,10 +185,9 @@ def compare_tile(job, tile):
         valid = floats_at(planes, _VALID + (y - top + RADIUS) * HELD_WIDTH + RADIUS * channels)
         total += compare(means, valid)
         for plane in range(3):
-            place = ((plane * word(job, _HEIGHT) + y) * columns + left) * channels
-            slopes = floats_at(as_floats(word(job, _SLOPES)), place)
+            slopes = rows_of(job, _SLOPES, (plane * word(job, _HEIGHT) + y) * columns + left, channels)
             copy(slopes, floats_at(means, plane * WIDTH), (end_column - left) * channels)
-    as_floats(word(job, _SUMS))[tile] = total
+    floats_of(job, _SUMS)[tile] = total
 
 
 @inlined
@@ -215,7 +200,7 @@ def read_slopes(job, planes, tile):
     clear(planes, BACK_PLANES)
     for plane in range(3):
         for y in range(max(top - RADIUS, 0), min(end_row + RADIUS, height)):
-            slopes = floats_at(as_floats(word(job, _SLOPES)), ((plane * height + y) * columns + begin) * channels)
+            slopes = rows_of(job, _SLOPES, (plane * height + y) * columns + begin, channels)
             copy(floats_at(inset, plane * PLANE + y * HELD_WIDTH), slopes, (end - begin) * channels)
     for y in range(top, end_row):
         valid = floats_at(planes, _VALID_BACK + (y - top) * HELD_WIDTH)
@@ -226,86 +211,61 @@ def read_slopes(job, planes, tile):
 def differentiate_tile(job, tile):
     """Writes a tile's gradient to the image."""
     planes, blurred, means = floats_on_stack(BACK_PLANES), floats_on_stack(BLURRED), floats_on_stack(MEANS)
-    columns, channels, scale = word(job, _COLUMNS), word(job, _CHANNELS), as_floats(word(job, _SCALE))[0]
+    columns, channels, scale = word(job, _COLUMNS), word(job, _CHANNELS), floats_of(job, _SCALE)[0]
     top, end_row, left, end_column = place_of_tile(job, tile)
     read_slopes(job, planes, tile)
     for y in range(top, end_row):
         means_of_row(job, means, blurred, planes, y - top)
         valid = floats_at(planes, _VALID_BACK + (y - top) * HELD_WIDTH)
-        place = (y * columns + left) * channels
-        image, target = (
-            floats_at(as_floats(word(job, _IMAGES)), place),
-            floats_at(as_floats(word(job, _TARGETS)), place),
-        )
-        gradient = floats_at(as_floats(word(job, _GRADIENT)), place)
+        place = y * columns + left
+        image, target = rows_of(job, _IMAGES, place, channels), rows_of(job, _TARGETS, place, channels)
+        gradient = rows_of(job, _GRADIENT, place, channels)
         for i in range((end_column - left) * channels):
             slope = means[i] + TWO * image[i] * means[WIDTH + i] + target[i] * means[2 * WIDTH + i]
             gradient[i] = scale * slope if valid[i] > ZERO else ZERO
 
 
-@entry_point(TASK)
-def compare_in_threads(shared):
+@task
+def compare_tiles(shared):
     """Compares tiles until none is left."""
-    job, item = job_of(shared), next_item(shared)
-    while item >= 0:
-        compare_tile(job, item)
-        item = item_after(shared)
-    let_go(shared)
+    do_items(shared, compare_tile)
 
 
-@entry_point(TASK)
-def differentiate_in_threads(shared):
+@task
+def differentiate_tiles(shared):
     """Differentiates tiles until none is left."""
-    job, item = job_of(shared), next_item(shared)
-    while item >= 0:
-        differentiate_tile(job, item)
-        item = item_after(shared)
-    let_go(shared)
-
-
-define("rasterizer_compare_in_threads", compare_in_threads.address)
-define("rasterizer_differentiate_in_threads", differentiate_in_threads.address)
+    do_items(shared, differentiate_tile)
 
 
 @inlined
 def write_images(frame, job):
-    """Writes size and addresses of the first three arguments: image, target and mask."""
+    """Writes size and addresses of the first three arguments: image, target and mask; returns the number of tiles."""
     for axis in range(3):
         set_word(job, _HEIGHT + axis, length(argument(frame, 0), axis))
-    for place in range(3):
-        set_word(job, _IMAGES + place, data(argument(frame, place)))
-
-
-@inlined
-def num_tiles(job):
-    """Tiles of the images."""
+    note_arguments(frame, 0, 3, job, _IMAGES)
     return tiles_across(job) * ((word(job, _HEIGHT) + TILE_ROWS - 1) // TILE_ROWS)
 
 
-@entry_point(HANDLER)
+@handler
 def ssim(frame):
     """(image, target, mask) -> the sum of SSIM over the valid pixels of each tile, and the slopes."""
     if only_introduces(frame):
         return 0
     job = words_on_stack(_JOB_WORDS)
-    write_images(frame, job)
-    set_word(job, _SUMS, data(result(frame, 0)))
-    set_word(job, _SLOPES, data(result(frame, 1)))
+    tiles = write_images(frame, job)
+    note_results(frame, 0, 2, job, _SUMS)
     set_word(job, _MEANS, 4)
-    return 0 if share(frame, address_of("rasterizer_compare_in_threads"), job, num_tiles(job)) else no_memory(frame)
+    return finish(frame, share(frame, address_of("rasterizer_compare_tiles"), job, tiles))
 
 
-@entry_point(HANDLER)
+@handler
 def ssim_gradient(frame):
     """(image, target, mask, slopes, cotangent of the sum) -> the gradient to the image."""
     if only_introduces(frame):
         return 0
     job = words_on_stack(_JOB_WORDS)
-    write_images(frame, job)
-    set_word(job, _SLOPES, data(argument(frame, 3)))
-    set_word(job, _SCALE, data(argument(frame, 4)))
-    set_word(job, _GRADIENT, data(result(frame, 0)))
+    tiles = write_images(frame, job)
+    note_arguments(frame, 3, 2, job, _SLOPES)
+    note_results(frame, 0, 1, job, _GRADIENT)
     set_word(job, _MEANS, 3)
-    if not share(frame, address_of("rasterizer_differentiate_in_threads"), job, num_tiles(job)):
-        return no_memory(frame)
-    return 0
+    return finish(frame, share(frame, address_of("rasterizer_differentiate_tiles"), job, tiles))

@@ -52,12 +52,6 @@ FAR, MARGIN = 1e9, np.float32(1e-3)  # pixels
 
 
 @inlined
-def at_least_three(on):
-    """Channels that are blended to the end, with those of zeros that are added to have three."""
-    return max(on, THREE)
-
-
-@inlined
 def reach_along_y(conic_xx, conic_xy, conic_yy, opacity, alpha_min):
     """How far from its mean a splat's alpha can pass the cut, pixels; `FAR` where the conic has too few digits."""
     xx, xy, yy = np.float64(conic_xx), np.float64(conic_xy), np.float64(conic_yy)
@@ -190,7 +184,7 @@ def blend_tile(
         last: `[P]` int32, written: the place in the list of the last splat that shows; -1 for none.
         median: `[P]` int32, written: the same of the last that shows with more than half the light before it.
     """
-    through = at_least_three(on)
+    through = max(on, THREE)  # with channels of zeros, where there are fewer
     blocks, pixels = floats_on_stack(BLOCKS), side * side
     begin_blocks(blocks, side, through + in_front)
     for y in range(side):
@@ -283,25 +277,13 @@ def unblend_list(
 def unblend_tile(
     rows, splats, center_x, center_y, side, on, in_front, probes, rules, light, last, d_features, d_light, sums
 ):
-    """Walks back over a tile's list, from the last splat that shows.
+    """Walks back over a tile's list, from the last splat that shows; arguments as in `blend_tile`, which wrote some.
 
-    Args:
-        rows: As in `blend_tile`, and what is not named here.
-        splats: The list.
-        center_x: Of the tile.
-        center_y: The same along y.
-        side: Of the tile.
-        on: Channels that are blended to the end.
-        in_front: Channels that end in front.
-        probes: Channels of zeros behind these, which `rows` do not have.
-        rules: `Thresholds`.
-        light: `[P]`, as `blend_tile` wrote it.
-        last: `[P]`, too.
-        d_features: `[D + probes, P]` dL/dfeatures.
-        d_light: `[P]` dL/dlight.
-        sums: Like `rows` with probes, added to: moments of dL/dsigma about the splats' means, and dL/dchannels.
+    `probes` are channels of zeros behind the others, which `rows` do not have. `d_features` `[D + probes, P]` and
+    `d_light` `[P]` are dL/dfeatures and dL/dlight. Added to `sums`, which are like `rows` with probes: moments of
+    dL/dsigma about the splats' means, and dL/dchannels.
     """
-    through = at_least_three(on)
+    through = max(on, THREE)
     blocks, pixels, count = floats_on_stack(BLOCKS), side * side, 0
     begin_blocks(blocks, side, through + in_front + probes)
     for y in range(side):

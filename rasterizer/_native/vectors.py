@@ -92,8 +92,8 @@ def _comparison(symbol: str) -> Callable:
 
 for _key, _name in {operator.add: "fadd", operator.sub: "fsub", operator.mul: "fmul", operator.truediv: "fdiv"}.items():
     _compiles_to(FLOATS, FLOATS, FLOATS, key=_key)(_arithmetic(_name))
-for _symbol in ("<", "<=", ">", ">=", "=="):
-    _key = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}[_symbol]
+_COMPARISONS = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq}
+for _symbol, _key in _COMPARISONS.items():
     _compiles_to(MASK, FLOATS, FLOATS, key=_key)(_comparison(_symbol))
 _compiles_to(FLOATS, FLOATS, key=operator.neg)(lambda builder, a: builder.fneg(a))
 _compiles_to(MASK, MASK, MASK, key=operator.and_)(lambda builder, a, b: builder.and_(a, b))

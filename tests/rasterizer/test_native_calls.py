@@ -19,7 +19,6 @@ from tolerances import assert_close
 import rasterizer
 from rasterizer import engines
 from rasterizer._native import compiled
-from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.vectors import LANES
 from rasterizer.similarity import ssim
 
@@ -99,7 +98,7 @@ def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, ca
     def missing():
         raise ImportError("No module named 'numba'")
 
-    monkeypatch.setattr(engines, "_native", missing)
+    monkeypatch.setattr(engines, "load_loops", missing)
     engines._native_or_none.cache_clear()
     try:
         assert [engines.resolve("auto") for _ in range(3)] == ["xla"] * 3
@@ -113,18 +112,16 @@ def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, ca
 
 
 def test_another_interface_of_xla_is_refused_by_its_version(monkeypatch, tmp_path):
-    from rasterizer._native import engine
-
     header = tmp_path / "xla" / "ffi" / "api" / "c_api.h"
     header.parent.mkdir(parents=True)
-    for major, minor, fits in [(API_MAJOR, API_MINOR, True), (API_MAJOR, API_MINOR + 4, True), (1, 0, False)]:
+    for major, minor, fits in [(0, compiled.API_MINOR, True), (0, compiled.API_MINOR + 4, True), (1, 0, False)]:
         header.write_text(f"#define XLA_FFI_API_MAJOR {major}\n#define XLA_FFI_API_MINOR {minor}\n")
         monkeypatch.setattr(jax.ffi, "include_dir", lambda: str(tmp_path))
         if fits:
-            engine._check_interface()
+            compiled._check_interface()
         else:
             with pytest.raises(ImportError, match=r"version 1\.0, not 0\.3 or later"):
-                engine._check_interface()
+                compiled._check_interface()
 
 
 STRESS = """

@@ -10,7 +10,7 @@ from scenes import binned, cloud, render
 
 import rasterizer
 from rasterizer import rasterization
-from rasterizer._native import MAX_SIDE
+from rasterizer._native.tiles import MAX_SIDE
 
 SCENE = cloud()
 TWO_SCENES = jax.tree.map(lambda x: jnp.stack([x, x]), cloud(cameras=2))

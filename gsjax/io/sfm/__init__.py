@@ -21,28 +21,20 @@ DEFAULT_FRAMES = 100
 REPORT = "sfm.json"
 _LITTLE_ROOM = 2**24  # bytes: a full disk may have so many free again, after a failed write
 
-__all__ = ["DEFAULT_FRAMES", "FILES", "Reconstruction", "SfmReport", "read_report", "reconstruct"]
-
 
 class Reconstruction(TypedDict, total=False):
     """Options of `reconstruct` that a person chooses.
 
-    Attributes:
-        frames: How many frames to take of a video, 100 where it is absent; a shorter video gives all that it has.
-        panoramas: The photos, or the video's frames, are equirectangular: 360 degrees across, 180 down. They are
-            written whole, with the camera model EQUIRECTANGULAR, which `gsjax.io.scenes` reads as six pinhole faces.
-        mask_below: Of panoramas: mask what is so many degrees and more below the horizon, where the operator is.
-        features: "sift", or "aliked" or "disk" by OpenCV 5 and the user's own file of `weights`.
-        weights: Of ALIKED or DISK, an ONNX file.
-        matcher_weights: Of LightGlue for ALIKED, an ONNX file. Absent: nearest descriptors match.
+    Panoramas are equirectangular, 360 degrees across and 180 down. They are written whole, with the camera model
+    EQUIRECTANGULAR, which `gsjax.io.scenes` reads as six pinhole faces.
     """
 
-    frames: int
-    panoramas: bool
-    mask_below: float
-    features: str
-    weights: str | Path
-    matcher_weights: str | Path
+    frames: int  # to take of a video, 100 where it is absent; a shorter video gives all that it has
+    panoramas: bool  # whether the photos, or the video's frames, are some
+    mask_below: float  # of panoramas: mask what is so many degrees and more below the horizon, where the operator is
+    features: str  # "sift", or "aliked" or "disk" by OpenCV 5 and the user's own file of `weights`
+    weights: str | Path  # of ALIKED or DISK, an ONNX file
+    matcher_weights: str | Path  # of LightGlue for ALIKED, an ONNX file; absent: nearest descriptors match
 
 
 FILES: Final = ("weights", "matcher_weights")  # options that name one
@@ -60,7 +52,6 @@ class _Options:
     matcher_weights: str | Path | None = None
 
     def __post_init__(self):
-        """Check ranges, and options that exclude each other; raises InputError."""
         if self.frames < 2:
             raise InputError(f"--frames {self.frames}: at least 2 are needed")
         if self.mask_below is not None and not self.panoramas:
@@ -157,7 +148,7 @@ def read_report(scene: str | Path) -> SfmReport:
 
 
 def _build(source: Path, workspace: Path, *how: Any) -> dict:
-    """Reconstruct (see `_built`) in its own process: leave `workspace/scene`, return the report."""
+    """Reconstruct in its own process: leave `workspace/scene`, return the report."""
     try:
         return _built(source, workspace, *how)
     except OSError as error:
@@ -169,6 +160,7 @@ def _build(source: Path, workspace: Path, *how: Any) -> dict:
 
 
 def _built(source: Path, workspace: Path, options: _Options, progress: Callable[..., tqdm]) -> dict:
+    from gsjax.io.images import SUFFIXES
     from gsjax.io.sfm import (
         dataset_writer,
         features,
@@ -178,10 +170,15 @@ def _built(source: Path, workspace: Path, options: _Options, progress: Callable[
         mapping,
         pairs,
         source_photos,
+        video,
     )
 
     mapping.pycolmap.set_random_seed(0)
-    folder = _frames_of(source, workspace / "frames", options.frames, progress) if source.is_file() else source
+    folder = source
+    if source.is_file():
+        if source.suffix.lower() in SUFFIXES:
+            raise InputError(f"{source}: is one photo; give the folder that holds all of them")
+        folder = video.write_sharpest_frames(source, workspace / "frames", options.frames, progress)
     photos, faults = source_photos.usable_photos(folder)
     if options.panoramas:
         photos = source_photos.as_panoramas(photos, options.mask_below)
@@ -216,12 +213,3 @@ def _built(source: Path, workspace: Path, options: _Options, progress: Callable[
         "gps_unused": {photo.name: photo.fix for photo in photos if isinstance(photo.fix, str)}
         | {photos[index].name: f"{metres:.0f} m from the photo's place" for index, metres in placed.errors.items()},
     }
-
-
-def _frames_of(source: Path, folder: Path, count: int, progress: Callable[..., tqdm]) -> Path:
-    from gsjax.io.images import SUFFIXES
-    from gsjax.io.sfm import video
-
-    if source.suffix.lower() in SUFFIXES:
-        raise InputError(f"{source}: is one photo; give the folder that holds all of them")
-    return video.write_sharpest_frames(source, folder, count, progress)

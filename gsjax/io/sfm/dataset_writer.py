@@ -12,7 +12,7 @@ from gsjax.io.lenses import Lens, PinholeView, pinhole_views
 from gsjax.io.packages import require
 from gsjax.io.photo_names import printable_name, written_name
 from gsjax.io.photos import valid_of
-from gsjax.io.sfm.initial_cameras import PANORAMA
+from gsjax.io.sfm.initial_cameras import panorama_camera
 from gsjax.io.sfm.progress import Progress
 from gsjax.io.sfm.source_photos import SourcePhoto, turned_pinhole, turned_points, turned_pose
 
@@ -22,13 +22,8 @@ pycolmap = require("pycolmap")
 def write_dataset(model: Any, photos: Sequence[SourcePhoto], folder: Path, progress: Progress) -> None:
     """Write `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read; panoramas stay whole.
 
-    Mattes become the alpha of PNGs; masks, and pixels that the undistorted photo does not cover, `masks/`.
-
-    Args:
-        model: `pycolmap.Reconstruction` in the sensors' frames; image ids count `photos` from 1.
-        photos: The photos.
-        folder: Where to write.
-        progress: Makes a progress bar.
+    Mattes become the alpha of PNGs; masks, and pixels that the undistorted photo does not cover, `masks/`. The model is
+    a `pycolmap.Reconstruction` in the sensors' frames; its image ids count the photos from 1.
     """
     upright = pycolmap.Reconstruction()
     names: set[str] = set()
@@ -43,12 +38,18 @@ def write_dataset(model: Any, photos: Sequence[SourcePhoto], folder: Path, progr
             key = (image.camera_id, photo.to_upright)
             if key not in cameras:
                 cameras[key] = len(cameras) + 1
-                camera = _panorama if photo.is_panorama else _camera
-                upright.add_camera_with_trivial_rig(camera(cameras[key], view, photo.to_upright))
+                if photo.is_panorama:
+                    camera = panorama_camera(cameras[key], view.width, view.height)
+                else:
+                    camera = _camera(cameras[key], view, photo.to_upright)
+                upright.add_camera_with_trivial_rig(camera)
             colors, matte = photo.read()
             if view.source_xy is not None:
                 colors, matte = filter_straight(colors, matte, view.warp)
-            name = _unused(written_name(photo.name, matte is not None), photo.name, names)
+            name = written_name(photo.name, matte is not None)
+            if name in names:  # Of another photo: all of the listed name tells them apart.
+                name = f"{printable_name(photo.name)}{Path(name).suffix}"
+            names.add(name)
             xy = _keypoints(image) if photo.is_panorama else _undistorted(image, view)
             _gather_colors(sums, image, colors, xy)
             picture = colors if matte is None else np.dstack([colors, matte])
@@ -82,12 +83,6 @@ def _whole(camera) -> PinholeView:
     return PinholeView("", np.eye(3), np.full((3, 3), np.nan), camera.width, camera.height, None, None)
 
 
-def _panorama(number: int, view: PinholeView, turns: int):
-    assert turns == 0, "panoramas are upright"
-    width, height = view.width, view.height
-    return pycolmap.Camera(camera_id=number, model=PANORAMA, width=width, height=height, params=[width, height])
-
-
 def _keypoints(image) -> np.ndarray:
     return np.array([point.xy for point in image.points2D]).reshape(-1, 2)
 
@@ -102,11 +97,3 @@ def _gather_colors(sums: dict[int, np.ndarray], image, colors: np.ndarray, xy: n
     for point, (x, y) in zip(image.points2D, xy, strict=True):
         if point.has_point3D() and 0 <= x < width and 0 <= y < height:
             sums[point.point3D_id] += [*colors[int(y), int(x)], 1]
-
-
-def _unused(name: str, listed: str, names: set[str]) -> str:
-    """The name to write, or where another photo has it, one made of all of the listed name; it is used from now on."""
-    if name in names:
-        name = f"{printable_name(listed)}{Path(name).suffix}"
-    names.add(name)
-    return name

@@ -64,16 +64,9 @@ Region = Callable[[Any], np.ndarray]
 def match(
     a: np.ndarray, b: np.ndarray, within: tuple[Region, Region] | None = None, nearness: Nearness = _SIFT
 ) -> np.ndarray:
-    """Match two sets of unit vectors that are each other's nearest, and clearly nearer than the second nearest.
+    """`[K, 2]` uint32 rows of unit vectors `[N, 128]` and `[M, 128]` that are clearly each other's nearest.
 
-    Args:
-        a: `[N, 128]` float32.
-        b: `[M, 128]` float32.
-        within: Regions to search: for `a` in b's photo, and for `b` in a's. None: everywhere.
-        nearness: The largest distance, and its largest ratio to that of the second nearest.
-
-    Returns:
-        `[K, 2]` uint32 rows of `a` and `b`.
+    `within` has the regions to search: for `a` in b's photo, and for `b` in a's. None: everywhere.
     """
     if min(len(a), len(b)) < 2:
         return np.empty((0, 2), np.uint32)

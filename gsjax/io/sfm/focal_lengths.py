@@ -9,6 +9,8 @@ import math
 from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
+from gsjax.io.sfm.gps import finite_number
+
 FOCAL, FOCAL_35, ZOOM = 0x920A, 0xA405, 0xA404  # tags of EXIF
 LEAST, MOST = 8.0, 400.0  # mm of 35 mm film: shorter and longer ones are of no lens that scenes are taken with
 FILM_DIAGONAL = 43.27  # mm, of 36 x 24
@@ -28,17 +30,15 @@ CameraKey = tuple[str, str, Focal, int, int]
 
 def read_focal(details: Mapping[int, Any]) -> Focal:
     """Read the focal length from the table of a photo's details; a damaged value counts as absent."""
-    zoom, film = _number(details.get(ZOOM)), _number(details.get(FOCAL_35))
+    zoom, film = finite_number(details.get(ZOOM)), finite_number(details.get(FOCAL_35))
     return Focal(str(details.get(FOCAL, "")), film if film > 0 else 0.0, round(zoom, 2) if zoom > 0 else 1.0)
 
 
 def usable_prior(camera: CameraKey, cameras: Collection[CameraKey], guess: float) -> tuple[float | None, str]:
     """Return the focal length in pixels that a camera starts from, or None and the reason why EXIF's is ignored.
 
-    Args:
-        camera: Of the photos.
-        cameras: All cameras of the set: they show whether a maker's 35 mm equivalent includes the digital zoom.
-        guess: Pixels, by EXIF without its digital zoom.
+    The guess is in pixels, by EXIF without its digital zoom. Whether a maker's 35 mm equivalent includes that zoom, all
+    `cameras` of the set show.
     """
     *_, focal, width, height = camera
     if focal.zoom != 1 and not (focal.film_35 and (includes := _includes_zoom(camera, cameras))):
@@ -64,12 +64,3 @@ def _includes_zoom(camera: CameraKey, cameras: Collection[CameraKey]) -> bool | 
     other = max(others, key=lambda other: abs(math.log(other.zoom / focal.zoom)))
     changed, zoomed = math.log(focal.film_35 / other.film_35), math.log(focal.zoom / other.zoom)
     return abs(changed - zoomed) < abs(changed)
-
-
-def _number(value: Any) -> float:
-    """Convert a tag to a finite number; 0 where it is none, such as a fraction over zero."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return 0.0
-    return number if math.isfinite(number) else 0.0

@@ -50,12 +50,9 @@ class _Motion(NamedTuple):
 
 
 def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | None = None) -> Georeference:
-    """Fit the place of a model.
+    """Fit the place of a model, of `[V, 3, 4]` viewmats of its photos as they stand upright, and of their GPS.
 
-    Args:
-        viewmats: `[V, 3, 4]` world to camera, of the photos as they stand upright.
-        fixes: Of each of them; None where its photo has no GPS.
-        level: Which way is up. None: as the cameras were held.
+    `level` is the direction up. None: as the cameras were held.
     """
     having = np.array([index for index, fix in enumerate(fixes) if fix is not None], int)
     if len(having) < FEWEST:
@@ -109,16 +106,10 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
 
 
 def place_model(model: Any, photos: Sequence[SourcePhoto]) -> Georeference:
-    """Move a model to its place by the GPS of its photos.
+    """Move a model to its place by the GPS of its photos, and return the place that its coordinates have then.
 
-    Without GPS, a model whose photos note gravity is turned upright.
-
-    Args:
-        model: `pycolmap.Reconstruction` in the sensors' frames, changed in place; image ids count `photos` from 1.
-        photos: The photos.
-
-    Returns:
-        The place of the moved model, whose coordinates are the world's.
+    Without GPS, a model whose photos note gravity is turned upright. It is a `pycolmap.Reconstruction` in the sensors'
+    frames, whose image ids count the photos from 1.
     """
     numbers = sorted(model.reg_image_ids())
     registered_photos = [photos[number - 1] for number in numbers]

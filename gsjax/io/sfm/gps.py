@@ -51,7 +51,7 @@ def _letter(side: Any) -> str:
 def _degrees(parts: Any) -> float:
     """Convert degrees, minutes and seconds, the last of which may be absent; NaN where they are no angle."""
     try:
-        numbers = [_number(part) for part in parts]
+        numbers = [finite_number(part) for part in parts]
     except TypeError:
         return math.nan
     if not 1 <= len(numbers) <= 3 or not all(number >= 0 for number in numbers):
@@ -60,7 +60,7 @@ def _degrees(parts: Any) -> float:
 
 
 def _altitude(tags: Mapping[int, Any]) -> float:
-    altitude = _number(tags.get(_ALTITUDE))
+    altitude = finite_number(tags.get(_ALTITUDE))
     if not abs(altitude) < _FARTHEST:
         return math.nan
     side = tags.get(_ALTITUDE_SIDE, b"\0")
@@ -68,9 +68,10 @@ def _altitude(tags: Mapping[int, Any]) -> float:
     return -altitude if is_below else altitude
 
 
-def _number(rational: Any) -> float:
-    """Convert a number; NaN where it is none, such as a fraction over zero."""
+def finite_number(rational: Any) -> float:
+    """Convert a number of EXIF; NaN where it is none that is finite, such as a fraction over zero."""
     try:
-        return float(rational)
+        number = float(rational)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return math.nan
+    return number if math.isfinite(number) else math.nan

@@ -40,9 +40,7 @@ class Up(NamedTuple):
 def read_gravity(details: Mapping[int, Any], xmp: Any) -> Vector | None:
     """Read the unit vector down, in the axes of the upright photo: x right, y down, z forward; None: unknown.
 
-    Args:
-        details: EXIF's table of details.
-        xmp: XMP of the file, text or bytes; None: there is none.
+    It is in EXIF's table of details, or in XMP, which is text, bytes or None.
     """
     note = details.get(MAKER_NOTE)
     is_front = "front" in str(details.get(_FRONT_LENS, "")).lower()  # whose pictures may be mirrored
@@ -55,9 +53,7 @@ def read_gravity(details: Mapping[int, Any], xmp: Any) -> Vector | None:
 def up_by_gravity(viewmats: np.ndarray, gravities: Sequence[Vector | None]) -> Up | None:
     """Estimate the direction up from most photos; None where they are too few, or inconsistent.
 
-    Args:
-        viewmats: `[V, 3, 4]` world to camera, of the upright photos.
-        gravities: Of each photo, see `read_gravity`.
+    Viewmats `[V, 3, 4]` are world to camera, of the upright photos; each has its `read_gravity`.
     """
     pairs = [(pose[:, :3], down) for pose, down in zip(viewmats, gravities, strict=True) if down is not None]
     if len(pairs) < FEWEST:

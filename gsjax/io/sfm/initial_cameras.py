@@ -42,9 +42,7 @@ def guess_cameras(photos: Sequence[SourcePhoto], priors: Mapping[CameraKey, floa
             continue
         number, (width, height) = len(cameras) + 1, photo.size
         if photo.is_panorama:
-            camera = pycolmap.Camera(
-                camera_id=number, model=PANORAMA, width=width, height=height, params=[width, height]
-            )
+            camera = panorama_camera(number, width, height)
         else:
             model = "OPENCV" if keys.count(photo.camera) >= _FULL_LENS_FROM else "SIMPLE_RADIAL"
             focal = priors.get(photo.camera, _USUAL_FOCAL * width)
@@ -52,6 +50,11 @@ def guess_cameras(photos: Sequence[SourcePhoto], priors: Mapping[CameraKey, floa
         camera.has_prior_focal_length = photo.is_panorama or photo.camera in priors
         cameras[photo.camera] = camera
     return [cameras[key] for key in keys]
+
+
+def panorama_camera(number: int, width: int, height: int):
+    """Return the `pycolmap.Camera` of panoramas."""
+    return pycolmap.Camera(camera_id=number, model=PANORAMA, width=width, height=height, params=[width, height])
 
 
 def _infer_camera(photo: SourcePhoto):

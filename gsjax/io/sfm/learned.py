@@ -50,16 +50,7 @@ def find_features(
     """Detect the features of every photo with a network, highest score first, where the photo's mask is on.
 
     The network sees each photo upright, reduced to fit its square and centred in it, neither stretched nor enlarged.
-
-    Args:
-        photos: The photos.
-        kind: Of `DETECTORS`.
-        weights: The network's ONNX file.
-        matcher_weights: LightGlue's ONNX file; None: there is no such matcher.
-        progress: Makes a progress bar.
-
-    Returns:
-        The features of every photo, and the matcher.
+    Its kind is of `DETECTORS`; `matcher_weights` are LightGlue's. Both are ONNX files.
 
     Raises:
         InputError: OpenCV is too old, a file is no such network, or a photo or its mask is damaged (named).
@@ -80,7 +71,6 @@ class LightGlue:
     """Matches the features of two photos, which ALIKED found, by LightGlue."""
 
     def __init__(self, matcher: Any, weights: Path, photos: list[SourcePhoto], features: list[Features]):
-        """Take OpenCV's matcher, its file, and the photos with their features."""
         self._matcher, self._weights, self._photos, self._features = matcher, weights, photos, features
         self._one_at_a_time = Lock()  # OpenCV's matcher holds the pair.
 

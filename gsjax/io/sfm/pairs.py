@@ -34,22 +34,14 @@ def likeness(features: list[Features], progress: Progress) -> np.ndarray:
 
 
 def choose_pairs(scores: np.ndarray) -> set[Pair]:
-    """Return the pairs to match: each photo with those most like it and with those next by name.
-
-    Args:
-        scores: `[V, V]` as `likeness` gives them, photos in name order.
-    """
+    """Return the pairs to match: each photo with those of most `likeness`, and with those next in the list, by name."""
     everything = range(len(scores))
     following = {(i, j) for i, j in combinations(everything, 2) if j - i <= _NEXT_BY_NAME}
     return following | likeliest_pairs(scores, everything, everything, set())
 
 
 def nearby_pairs(fixes: Sequence[Fix | None]) -> set[Pair]:
-    """Return the pairs of each photo with those taken nearest to it by GPS; heights, which err most, are ignored.
-
-    Args:
-        fixes: Of the photos; None where there is no GPS.
-    """
+    """Return the pairs of each photo with those taken nearest to it by GPS; heights, which err most, are ignored."""
     having = [photo for photo, fix in enumerate(fixes) if fix is not None]
     if len(having) < 2:
         return set()

@@ -25,16 +25,8 @@ _TRANSFER = re.compile(rb"\x55\xba\x81(.)", re.DOTALL)  # Matroska's TransferCha
 def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Callable[..., tqdm]) -> Path:
     """Cut the video into `count` stretches of one length and write the sharpest frame of each.
 
-    Frames are turned by the video's rotation. One pass; two frames in memory at a time.
-
-    Args:
-        video: Any file that OpenCV reads.
-        folder: Where to write NNNNNN.jpg, the number of the frame in the video, from 0.
-        count: Frames to write; a shorter video gives all its frames.
-        progress: Makes a progress bar.
-
-    Returns:
-        `folder`.
+    Frames are turned by the video's rotation, and called NNNNNN.jpg by their number in the video, from 0; a shorter
+    video gives all its frames. One pass; two frames in memory at a time. Returns the folder.
 
     Raises:
         InputError: The video cannot be read, or has fewer than two frames.
