@@ -25,7 +25,7 @@ from gsjax.io.ply_elements import (
 from gsjax.scene.colors import shares, to_bytes
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.meshes import Mesh
-from gsjax.scene.similarity import as_needed, is_float32, loses_in_float32
+from gsjax.scene.similarity import as_needed, is_float32, loses_in_float32, spread
 
 _MEANS = ["x", "y", "z"]
 _DC = [f"f_dc_{i}" for i in range(3)]
@@ -34,6 +34,7 @@ _QUATS = [f"rot_{i}" for i in range(4)]  # w first
 _RGB = ["red", "green", "blue"]
 _RGB_NAMES = [_RGB, *([f"{kind}_{name}" for name in _RGB] for kind in ("diffuse", "scalar")), ["r", "g", "b"]]
 _GREY = 128
+_ROUNDED = 1e-3  # of the spread of points, by which rounding may move them without a word
 _OF_DISCS = 1e-4  # Of the thinner of a disc's other two deviations: where a file gives it no thickness.
 _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential is still a number.
 
@@ -160,7 +161,18 @@ def read_points(path: str | Path, least: int = 1) -> tuple[np.ndarray, np.ndarra
         raise InputError(f"{path}: {len(points)} points in it, at least {least} are needed")
     finite = is_float32(points).all(axis=1)
     leave_out_rows(path, "points", finite)
+    _report_rounding(path, vertices, points[finite])
     return points[finite], _point_colors(vertices)[finite]
+
+
+def _report_rounding(path: Path, vertices: np.ndarray, points: np.ndarray) -> None:
+    """One line where the single precision of rows has moved their `[P, 3]` points by a thousandth of their spread."""
+    step = float(np.spacing(np.abs(np.median(points, axis=0)).max().astype(np.float32)))
+    if vertices.dtype["x"].str[1:] == "f4" and 0 < _ROUNDED * spread(points) < step / 2:
+        print_once(
+            f"{path}: its points are in single precision, which there is a grid of {step:g}; save them as doubles, or"
+            " about a nearer origin"
+        )
 
 
 def _point_colors(vertices: np.ndarray) -> np.ndarray:

@@ -153,6 +153,7 @@ class _Objective:
             beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
             neighbor = multi_view.render_neighbor(remaining, beside, self.capacity, self.depth_mode)
             view = view._replace(neighbor=neighbor)
+            assert pairs is not None, "both views list their splats"
             longest = jnp.maximum(pairs.needed, neighbor.pairs.needed)
             pairs = pairs._replace(needed=longest, overflowed=pairs.overflowed | neighbor.pairs.overflowed)
         total, losses, error = weighted_loss(self.terms, self.rule, gaussians, view, batch)

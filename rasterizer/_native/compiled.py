@@ -71,9 +71,10 @@ def _writable_folder() -> Path | None:
 
 FOLDER = _writable_folder()
 OPTIONS: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
+INLINED: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **OPTIONS}
 
 # Compiled once, and inlined by LLVM wherever it is called. Python never calls it, which saves its wrappers.
-inlined = numba.njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)
+inlined = numba.njit(**INLINED)
 
 
 def handler(function: Any) -> Any:

@@ -295,3 +295,14 @@ def test_normals_are_the_smallest_axes_and_face_the_nearest_camera_or_away_from_
     write_gaussians(tmp_path / "g.ply", gaussians, cameras=cameras)
     nearest = cameras[np.argmin(np.linalg.norm(means[:, None] - cameras, axis=-1), axis=1)]
     assert (np.sum(normals(tmp_path / "g.ply") * (nearest - means), axis=1) >= 0).all()
+
+
+@pytest.mark.parametrize(("kind", "far", "is_told"), [("f4", 4.5e6, True), ("f8", 4.5e6, False), ("f4", 0.0, False)])
+def test_a_cloud_that_single_precision_has_put_on_a_grid_is_told(tmp_path, capsys, kind, far, is_told):
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3)) + [0, far, 0]
+    lines = [f"property {'float' if kind == 'f4' else 'double'} {axis}" for axis in "xyz"]
+    head = ["ply", "format binary_little_endian 1.0", "element vertex 50", *lines, "end_header", ""]
+    file = tmp_path / f"{kind}.ply"
+    file.write_bytes("\n".join(head).encode() + points.astype(f"<{kind}").tobytes())
+    read_points(file)
+    assert ("which there is a grid of 0.5; save them as doubles" in capsys.readouterr().err) == is_told
