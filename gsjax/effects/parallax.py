@@ -71,8 +71,8 @@ def compare(
     ratios, difference = _ratios(views, pairs, (*near, *far))
     if not np.isfinite(ratios).any():
         return None
-    of_near, of_far, at_infinity = (_least(each) for each in np.split(ratios, [len(near), len(ratios) - 1]))
-    return Parallax(of_near, of_far, at_infinity, difference, *_blue(views))
+    of_near, of_far, of_fixed = (_least(each) for each in np.split(ratios, [len(near), len(ratios) - 1]))
+    return Parallax(of_near, of_far, of_fixed, difference, *_blue(views))
 
 
 def _blue(views: Sequence[_View]) -> tuple[float, float]:
