@@ -38,6 +38,8 @@ def depth_normals(depth: Array, camera: Camera) -> Array:
     Returns:
         `[H, W, 3]`, differentiable in `depth`; zero where the pixel, or both neighbours along an axis, have no depth.
     """
+    if depth.shape != (camera.height, camera.width):
+        raise ValueError(f"{depth.shape=} does not match {camera.height=}, {camera.width=}")
     points, valid = unproject(depth, camera), depth > 0
     along_x, has_x = _difference(points, valid, axis=1)
     along_y, has_y = _difference(points, valid, axis=0)
@@ -85,6 +87,8 @@ def smoothed_depth_normals(depth: Array, alphas: Array, camera: Camera, *, reduc
         `[H, W, 3]`; zero where there is no depth and where no window fits to 3 % of the depth (mixed pixels at the
         borders of objects).
     """
+    if not depth.shape == alphas.shape == (camera.height, camera.width):
+        raise ValueError(f"{depth.shape=}, {alphas.shape=} do not match {camera.height=}, {camera.width=}")
     valid = (depth > 0) & (alphas > 0.5)
     inverse_depth = jnp.where(valid, 1.0 / jnp.where(valid, depth, 1.0), 0.0)
     values, weights = _reduced(inverse_depth, valid, reduction)
