@@ -1,9 +1,8 @@
 """How do the variants of a study compare, trained on one scene with the same seeds?
 
-    python experiments/compare.py STUDY --scene PATH --out DIR [--on CONFIG] [--seeds N] [--budget TIME]
+    python experiments/compare.py STUDY --scene PATH --out DIR [--on CONFIG] [--seeds N]
 
-Variants run for the steps of the study. With --budget they run for the same time instead: the phases of every variant
-are scaled to what this machine does of them in that time. Called again it resumes where it was stopped.
+Variants run for the steps of the study. Called again it resumes where it was stopped.
 """
 
 import argparse
@@ -58,9 +57,7 @@ def load_study(name: str, on: str | None = None) -> Study:
     return Study(on, base, module["variants"](base, on), module.get("POINTS"))
 
 
-def run(
-    study: str, scene: str, out: str, seeds: int = 1, *, on: str | None = None, seconds: float | None = None
-) -> dict[str, list[dict[str, Any]]]:
+def run(study: str, scene: str, out: str, seeds: int = 1, *, on: str | None = None) -> dict[str, list[dict[str, Any]]]:
     """Figures of every variant, a row a seed, and the true mesh's own; also written to `OUT/study.json`.
 
     A run that is done (`OUT/VARIANT_SEED/study.json`) is not done again, one that was stopped resumes.
@@ -71,7 +68,6 @@ def run(
         out: Folder for the runs, OUT/VARIANT_SEED each.
         seeds: Runs of every variant, with seeds 0, 1, ...
         on: Name of a config; None: the study's own.
-        seconds: That a run may take; None: its own steps.
 
     Raises:
         InputError: There is no such study, `out` holds runs of another, or one of its runs cannot be made.
@@ -87,7 +83,7 @@ def run(
             if not done.exists():
                 print(f"== {folder.name}", flush=True)
                 settings = config.merge(described.config, _placed(change, scene), {"seed": seed})
-                used = _train(scene, folder, config.parse(Settings, settings, where=variant), seconds)
+                used = _train(scene, folder, config.parse(Settings, settings, where=variant))
                 figures, floor = _figures(folder, described.points)
                 json_files.write(done, (figures | {"processor_seconds": used}, floor))
             figures, floor = json_files.read(done)
@@ -97,17 +93,12 @@ def run(
     return every
 
 
-def _train(scene: str, folder: Path, settings: Settings, seconds: float | None) -> float:
+def _train(scene: str, folder: Path, settings: Settings) -> float:
     """The seconds of the processor, which depend less on other processes than those of the clock."""
     from terms import terms_of_scene
 
-    from gsjax import pipeline, runs
+    from gsjax import pipeline
 
-    if seconds is not None and not folder.exists():
-        settings, line = pipeline.budgeted(scene, {folder.name: settings}, seconds)
-        print(f"budget: {line}", flush=True)
-    elif seconds is not None:
-        settings = config.parse(Settings, runs.read_settings(folder))
     terms = terms_of_scene(scene, settings)
     begin = time.process_time()
     pipeline.train(scene, folder, settings, terms=terms, resume=folder.exists())
@@ -153,10 +144,8 @@ def main() -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
     parser.add_argument("--on", choices=CONFIGS, metavar="CONFIG", help="of configs.py (default: the study's own)")
     parser.add_argument("--seeds", type=parsers.count, default=1, metavar="N", help="runs of each variant (default: 1)")
-    parser.add_argument("--budget", metavar="TIME", help="of every run, as in 10m (default: the study's steps)")
     arguments = parser.parse_args()
-    seconds = None if arguments.budget is None else parsers.seconds(arguments.budget)
-    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, on=arguments.on, seconds=seconds)
+    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, on=arguments.on)
     print(tables.compare({variant: spread(rows) for variant, rows in every.items()}))
 
 
