@@ -31,7 +31,8 @@ _name = attrgetter("name")
 # The image circle of a fisheye lens, beyond which its photos are black and say nothing.
 _LOOKED_AT = 3  # photos of a lens
 _BLACK = 16  # of 255, at most, in every channel
-_LIT, _STRAY = 0.02, 3  # of a ring's pixels, and how many more: so many are not black where there is a picture
+# A ring of pixels belongs to the picture where more pixels are not black than this share and this number together.
+_LIT_SHARE, _LIT_COUNT = 0.02, 3
 _RINGS = 400  # from the principal point to the farthest corner
 _CORNER = 0.95  # of that: a picture that goes farther is no circle
 _MARGIN = 1.5  # pixels: at its rim the circle is mixed with black
@@ -200,6 +201,6 @@ def _lit_reach(lens: Lens, colors: np.ndarray) -> float:
     radii = np.hypot(np.arange(width) + 0.5 - x, (np.arange(height) + 0.5 - y)[:, None])
     rings = (radii / radii.max() * (_RINGS - 1)).astype(int)
     pixels, lit = (np.bincount(rings.ravel(), weights, _RINGS) for weights in (None, (colors > _BLACK).any(-1).ravel()))
-    outermost = np.flatnonzero(lit > _LIT * pixels + _STRAY).max(initial=0)
+    outermost = np.flatnonzero(lit > _LIT_SHARE * pixels + _LIT_COUNT).max(initial=0)
     share = outermost / (_RINGS - 1)
     return math.inf if share > _CORNER else (share * radii.max() - _MARGIN) / width

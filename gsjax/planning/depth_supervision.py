@@ -14,10 +14,10 @@ from gsjax.settings import Settings, Supervision
 from gsjax.stereo import PhotoDepths, StereoMaps, depths_of_photos, read_stereo_maps, stereo_maps
 from gsjax.training.loop import Depths
 
-FEWEST = 100  # points from which the scale is told
-WIDEST = 0.2  # median of |log(point / measured)| from which maps and points do not show one thing
-TRUSTED = 127  # confidence of what the scale is told by, of 255
-ALIKE = 0.02  # of 1: the scene is in metres already
+FEWEST = 100  # points that an estimate of the scale takes
+WIDEST = 0.2  # median of |log(point / measured)|, above which maps and points contradict each other
+TRUSTED = 127  # confidence, of 255, above which depth counts for the scale
+ALIKE = 0.02  # difference of the scale from 1 up to which the scene is in metres
 MOST_PHOTOS = 100  # evenly spread; of more photos some have no stereo depth
 CERTAIN = 255  # confidence of depth that other photos confirm
 

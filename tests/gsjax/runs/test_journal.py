@@ -22,8 +22,8 @@ def state_of(value):
     return type("State", (dict,), {"gaussians": gaussians})(means=np.full(2, value, np.float32))
 
 
-def test_steps_go_on_while_a_checkpoint_is_on_disk_and_the_end_waits_for_it(on_a_gpu, monkeypatch, tmp_path):
-    """The write is held back until the caller has gone on, and is whole when the context is left."""
+def test_steps_go_on_while_a_checkpoint_awaits_its_write_and_the_end_waits_for_it(on_a_gpu, monkeypatch, tmp_path):
+    """The first write waits for an event that is set after `save` returns; the context ends with both on disk."""
     may_write, on_disk = threading.Event(), []
 
     def slow(run, step, tree):
