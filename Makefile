@@ -69,10 +69,10 @@ rasterizer: $(INSTALLED)-test
 	@$(BIN)/python -c 'import jax, platform; print("Python", platform.python_version(), "with jax", jax.__version__)'
 	$(BIN)/python -m pytest $(IN_PARALLEL) $(MATRIX_TESTS)
 
-# The result files whose tables the pages have, in some hours on two cores; what is there is not run again. DATA holds
-# the scenes fox, fern, bunny_plane, and the photos of the room with its truth.
+# The result files whose tables the pages have, in some hours on two cores. What is there of the same product is not run
+# again. DATA holds the scenes fox, fern, bunny_plane, and the photos of the room with its truth.
 DATA ?= ../shared/data
-MEASURED := runs/measured
+MEASURED = runs/measured/$(shell git rev-parse --short HEAD:gsjax)
 
 measure: $(INSTALLED)-test
 	$(BIN)/python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases experiments/results/hard_cases.md
@@ -82,8 +82,8 @@ measure: $(INSTALLED)-test
 		--scene fern=$(DATA)/fern/undistorted@2 built_in=$(MEASURED)/demo/scene bunny=$(DATA)/bunny_plane
 	$(BIN)/python experiments/accuracy_vs_time.py --out $(MEASURED)/presets --scene room=$(MEASURED)/room@2 \
 		fox=$(DATA)/fox/undistorted bunny=$(DATA)/bunny_plane
-	$(BIN)/python experiments/compare.py ablation --scene $(MEASURED)/demo/scene --out $(MEASURED)/ablation --seeds 3
-	$(BIN)/python experiments/compare.py settings --scene $(MEASURED)/demo/scene --out $(MEASURED)/settings --seeds 3
+	$(BIN)/python experiments/compare.py ablation --scene $(MEASURED)/demo/scene --out $(MEASURED)/ablation --seeds 3 --record
+	$(BIN)/python experiments/compare.py settings --scene $(MEASURED)/demo/scene --out $(MEASURED)/settings --seeds 3 --record
 
 # What Open3D loads from the system, for who installs it otherwise.
 libraries:

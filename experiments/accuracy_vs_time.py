@@ -12,34 +12,31 @@ import argparse
 import itertools
 import json
 import resource
+import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import records
+from records import PICTURES, ROOT, Row
 
 from gsjax.cli import run_guarded
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 
-ROOT = Path(__file__).parents[1]
-RESULTS, PICTURE = ROOT / "experiments/results/accuracy_vs_time.json", ROOT / "docs/assets/accuracy_vs_time.png"
+NAME = "accuracy_vs_time"
 PRESETS = "quick", "fast", "balanced"
 SURFACE = {"f5": "F at 5 cm", "chamfer": "Chamfer distance, 1e-3"}
-HEADS = "Scene", "Preset", "Normals", "Steps; Gaussians", "Processor seconds", "PSNR", "SSIM", "Mesh normals", "Surface"
-
-Row = dict[str, Any]
+HEADS = "Scene | Preset | Normals | Steps; Gaussians | Processor seconds | PSNR | SSIM | Mesh normals | Surface"
 
 
 def run(out: Path, scenes: Mapping[str, str], seeds: int, presets: Sequence[str]) -> list[Row]:
     """Run what is left; return the rows of all runs."""
-    from gsjax.io.machine import machine, versions
-
-    version = _version()
-    before = json_files.read(RESULTS) if RESULTS.exists() else {}
-    rows: list[Row] = before["rows"] if before.get("version") == version else []
+    rows = records.read(NAME)
     for seed, name, preset, vanilla in itertools.product(range(seeds), scenes, presets, (False, True)):
         key = {"scene": name, "preset": preset, "vanilla": vanilla, "seed": seed}
         is_known = any(key.items() <= row.items() for row in rows)
@@ -47,35 +44,29 @@ def run(out: Path, scenes: Mapping[str, str], seeds: int, presets: Sequence[str]
             folder = out / f"{name}_{preset}{'_vanilla' if vanilla else ''}_{seed}"
             print(f"== {folder.name}", flush=True)
             rows.append(key | measured(folder, scenes[name], preset, vanilla, seed))
-            about = {"version": version, "machine": machine(), "versions": versions(), "rows": rows}
-            json_files.write(RESULTS, about)
+            records.write(NAME, rows)
     return rows
 
 
-def _version() -> str:
-    """The product's content, whatever the pages say."""
-    trees = subprocess.run(
-        ["git", "rev-parse", "HEAD:gsjax", "HEAD:rasterizer"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    return "+".join(each[:8] for each in trees.stdout.split())
-
-
 def measured(folder: Path, scene: str, preset: str, vanilla: bool, seed: int) -> Row:
-    """Train, mesh and score one run.
+    """Train, mesh and score one run; what a stopped call left of it is removed.
 
-    Its time is the processor's for the whole training command, without compilations, as other programs come and go.
+    Its times are of the whole training command: of the clock, and of the processor without compilations, which depends
+    less on other programs.
     """
+    shutil.rmtree(folder, ignore_errors=True)
     path, _, downscale = scene.partition("@")
     settings = ["--downscale", downscale or "1", "--set", f"seed={seed}", f"schedule.vanilla={str(vanilla).lower()}"]
-    before = _processor_seconds()
+    begin, before = time.perf_counter(), _processor_seconds()
     _gsjax("train", path, "--out", str(folder), "--preset", preset, *settings)
-    seconds = _processor_seconds() - before
+    minutes, seconds = (time.perf_counter() - begin) / 60, _processor_seconds() - before
     _gsjax("mesh", str(folder), "--out", str(folder / "mesh.ply"), "--method", "tsdf")
     _gsjax("eval", str(folder), "--mesh", str(folder / "mesh.ply"), "--json", str(folder / "eval.json"))
     steps = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     compiled = sum(each["seconds"] for step in steps for each in step.get("compiled", ()))
     scores = json_files.read(folder / "eval.json")
     row = {
+        "minutes": minutes,
         "processor_seconds": seconds - compiled,
         "compilation_seconds": compiled,
         "steps": scores["steps"],
@@ -134,7 +125,7 @@ def page_table(rows: Sequence[Row]) -> str:
                 f"{SURFACE[kind].split(',')[0]} {spread(group, kind, 3 if kind == 'f5' else 2)}" if kind else "",
             ]
         )
-    head = f"| {' | '.join(HEADS)} |\n|{'---|' * len(HEADS)}\n"
+    head = f"| {HEADS} |\n|{'---|' * len(HEADS.split('|'))}\n"
     return head + "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
@@ -189,7 +180,7 @@ def main() -> None:
     arguments = parser.parse_args()
     scenes = dict(each.split("=", 1) for each in arguments.scene)
     rows = run(arguments.out, scenes, arguments.seeds, arguments.presets)
-    draw(rows, PICTURE)
+    draw(rows, PICTURES / f"{NAME}.png")
     print(page_table(rows))
 
 

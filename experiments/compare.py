@@ -1,8 +1,9 @@
 """How do the variants of a study compare, trained on one scene with the same seeds?
 
-    python experiments/compare.py STUDY --scene PATH --out DIR [--on CONFIG] [--seeds N]
+    python experiments/compare.py STUDY --scene PATH --out DIR [--on CONFIG] [--seeds N] [--record]
 
-Variants run for the steps of the study. Called again it resumes where it was stopped.
+Called again it resumes where it was stopped. Prints the table of the page; with --record the figures become
+`results/STUDY.json`.
 """
 
 import argparse
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import records
 from configs import CONFIGS
 from train import claim, load_config, nearest
 
@@ -25,10 +27,13 @@ from gsjax.report import tables
 from gsjax.settings import Settings
 
 STUDIES = Path(__file__).parent / "studies"
-FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "mesh_normal_error_deg", "depth_error",
-           "chamfer", "fscore_quarter", "fscore_half", "fscore", "normal_consistency", "gaussians", "steps",
-           "train_seconds")  # fmt: skip
-WAYS = ("near_gains", "track_gains", "fitted")  # of scoring pictures whose exposure differs
+COLUMNS = {  # of a page's table: title, factor, digits
+    "psnr": ("PSNR, dB", 1, 2),
+    "normal_error_deg": ("Normals, objects", 1, 1),
+    "normal_error_all_deg": ("all", 1, 1),
+    "chamfer": ("Chamfer, 1e-3", 1e3, 2),
+    "processor_seconds": ("Processor seconds", 1, 0),
+}
 
 
 class Study(NamedTuple):
@@ -58,16 +63,9 @@ def load_study(name: str, on: str | None = None) -> Study:
 
 
 def run(study: str, scene: str, out: str, seeds: int = 1, *, on: str | None = None) -> dict[str, list[dict[str, Any]]]:
-    """Figures of every variant, a row a seed, and the true mesh's own; also written to `OUT/study.json`.
+    """Figures of every variant, a row for each of the seeds 0, 1, ..., and the true mesh's own.
 
     A run that is done (`OUT/VARIANT_SEED/study.json`) is not done again, one that was stopped resumes.
-
-    Args:
-        study: As in `load_study`.
-        scene: Data set; "{scene}" in a value of the study stands for it.
-        out: Folder for the runs, OUT/VARIANT_SEED each.
-        seeds: Runs of every variant, with seeds 0, 1, ...
-        on: Name of a config; None: the study's own.
 
     Raises:
         InputError: There is no such study, `out` holds runs of another, or one of its runs cannot be made.
@@ -94,15 +92,16 @@ def run(study: str, scene: str, out: str, seeds: int = 1, *, on: str | None = No
 
 
 def _train(scene: str, folder: Path, settings: Settings) -> float:
-    """The seconds of the processor, which depend less on other processes than those of the clock."""
+    """The processor's seconds without compilations, which depend less on other programs than those of the clock."""
     from terms import terms_of_scene
 
-    from gsjax import pipeline
+    from gsjax import pipeline, runs
 
     terms = terms_of_scene(scene, settings)
     begin = time.process_time()
     pipeline.train(scene, folder, settings, terms=terms, resume=folder.exists())
-    return time.process_time() - begin
+    compiled = sum(each["seconds"] for step in runs.read_metrics(folder) for each in step.get("compiled", ()))
+    return time.process_time() - begin - compiled
 
 
 def _figures(folder: Path, points: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -114,8 +113,10 @@ def _figures(folder: Path, points: int | None) -> tuple[dict[str, Any], dict[str
     figures = pipeline.evaluate(folder)
     last = runs.read_metrics(folder)[-20:]
     aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]
-    keys = [*FIGURES, *(f"{score}_{way}" for score in ("psnr", "ssim") for way in WAYS)]
-    scores, floor = ({key: f[key] for key in keys if key in f} for f in (figures, figures.get("floor", {})))
+    scores, floor = (
+        {key: value for key, value in each.items() if isinstance(value, int | float)}
+        for each in (figures, figures.get("floor", {}))
+    )
     return scores | ({"mean_cos": np.mean(aligned)} if aligned else {}), floor
 
 
@@ -126,14 +127,23 @@ def _placed(value: Any, scene: str) -> Any:
     return value.replace("{scene}", scene) if isinstance(value, str) else value
 
 
-def spread(rows: Sequence[Mapping[str, float]]) -> dict[str, str]:
-    """Mean of every quantity over rows that all have it, a row a seed; where they are several also least and most."""
-    columns = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
-    texts = {
-        name: [tables.format_value(float(v)) for v in (each.mean(), each.min(), each.max())]
-        for name, each in columns.items()
-    }
-    return {name: f"{mean} [{least} {most}]" if len(rows) > 1 else mean for name, (mean, least, most) in texts.items()}
+def page_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Markdown: a line a variant, means over seeds and half of the range, and the time in percent of the first's."""
+    columns = {key: column for key, column in COLUMNS.items() if key in rows[0]}
+    lines = [["", *(title for title, *_ in columns.values()), "Time"], ["---"] * (len(columns) + 2)]
+    whole = _seconds([row for row in rows if row["variant"] == rows[0]["variant"]])
+    for name in dict.fromkeys(row["variant"] for row in rows):
+        cells, each = [], [row for row in rows if row["variant"] == name]
+        for key, (_, factor, digits) in columns.items():
+            values = factor * np.array([row[key] for row in each if key in row])
+            half = f" +-{np.ptp(values) / 2:.{digits}f}" if len(values) > 1 else ""
+            cells.append(f"{values.mean():.{digits}f}{half}" if len(values) else "")
+        lines.append([name, *cells, f"{100 * _seconds(each) / whole:.0f} %" if _seconds(each) else ""])
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _seconds(rows: Sequence[Mapping[str, Any]]) -> float:
+    return float(np.mean([row.get("processor_seconds", 0) for row in rows]))
 
 
 def main() -> None:
@@ -144,9 +154,13 @@ def main() -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
     parser.add_argument("--on", choices=CONFIGS, metavar="CONFIG", help="of configs.py (default: the study's own)")
     parser.add_argument("--seeds", type=parsers.count, default=1, metavar="N", help="runs of each variant (default: 1)")
+    parser.add_argument("--record", action="store_true", help="write results/STUDY.json")
     arguments = parser.parse_args()
     every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, on=arguments.on)
-    print(tables.compare({variant: spread(rows) for variant, rows in every.items()}))
+    rows = [{"variant": name} | row for name, each in every.items() for row in each]
+    if arguments.record:
+        records.write(arguments.study, rows)
+    print(page_table(rows))
 
 
 if __name__ == "__main__":

@@ -16,15 +16,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import records
+from records import PICTURES
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from gsjax.cli import run_guarded
-from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 
-ROOT = Path(__file__).parents[1]
-RESULTS, PICTURE = ROOT / "experiments/results/effect_detection.json", ROOT / "docs/assets/effect_detection.png"
+NAME = "effect_detection"
 
 Change = Callable[[Any, float, np.random.Generator], Any]
 """(frame, strength, random numbers of its own) -> the frame with the effect."""
@@ -98,8 +98,9 @@ def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
         for strength in each.strengths
         for seed in range(seeds if strength else 1)
     ]
-    rows, loaded = [], {}
-    for name, effect, strength, seed in tqdm(jobs, desc="diagnoses", unit="scene"):
+    rows, loaded = records.read(NAME), {}
+    known = {(row["scene"], row["effect"], row["strength"], row["seed"]) for row in rows}
+    for name, effect, strength, seed in tqdm([job for job in jobs if job not in known], desc="diagnoses", unit="scene"):
         path, _, downscale = scenes[name].partition("@")
         scene = loaded.setdefault(name, load_scene(path, downscale=float(downscale or 1)))
         streams = np.random.default_rng([seed, *effect.encode()]).spawn(len(scene.frames))
@@ -108,6 +109,7 @@ def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
         effects = diagnose_scene(changed).record()["effects"]
         detected = [each for each, evidence in effects.items() if evidence["on"]]
         rows.append({"scene": name, "effect": effect, "strength": strength, "seed": seed, "detected": detected})
+        records.write(NAME, rows)
     return rows
 
 
@@ -154,10 +156,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="of every strength (default: 3)")
     arguments = parser.parse_args()
     rows = run(dict(each.split("=", 1) for each in arguments.scene), arguments.seeds)
-    from gsjax.io.machine import machine, versions
-
-    json_files.write(RESULTS, {"machine": machine(), "versions": versions(), "rows": rows})
-    draw(rows, PICTURE)
+    draw(rows, PICTURES / f"{NAME}.png")
     print(page_table(rows))
 
 

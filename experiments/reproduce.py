@@ -1,22 +1,21 @@
 """Do we reach the paper's tables? One run a scene, schedule and seed of its data sets, each in its own process.
 
     python experiments/reproduce.py --data ROOT --out DIR [--seeds N] [--preset NAME ...] [--set KEY=VALUE ...]
-        [--set-scene NAME KEY=VALUE ...]
 
 Runs what it finds under a root. A finished run is not done again, a stopped one continues, and one that fails leaves a
-dash. Writes OUT/tables.md and .csv next to the runs, OUT/SCENE/SCHEDULE_SEED each.
+dash. Writes OUT/tables.md next to the runs, OUT/SCENE/SCHEDULE_SEED each.
 """
 
 import argparse
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from paper import report
 from paper.measured import found_runs, measurements, methods, run_folder
-from paper.scenes import DEFAULT_SCHEDULES, SCENES, SCHEDULES, R, discover
+from paper.scenes import DEFAULT_SCHEDULES, SCHEDULES, R, discover
 from paper_run import is_finished, read_result, run_settings
 
 from gsjax.cli import parsers, run_guarded
@@ -37,16 +36,11 @@ class Job(NamedTuple):
 
 
 class Options(NamedTuple):
-    """What all runs share, and what those of a scene share, as on the command line."""
+    """What all runs share, as on the command line."""
 
     assignments: Sequence[str] = ()
     refinement: Sequence[str] = ()
     lpips: Sequence[str] = ()
-    of_scenes: Mapping[str, Sequence[str]] = {}  # assignments by the scene's name, after those of all
-
-    def of(self, scene: str) -> list[str]:
-        """The assignments of a scene's trainings."""
-        return [*self.assignments, *self.of_scenes.get(scene, ())]
 
 
 Start = Callable[[Job, Options], int]
@@ -105,8 +99,7 @@ def in_own_process(job: Job, options: Options) -> int:
     """Does one run by `paper_run.py`; what ends this process ends that one."""
     command = [sys.executable, str(Path(__file__).with_name("paper_run.py")), job.scene, str(job.data), str(job.out)]
     command += ["--schedule", job.schedule, "--seed", str(job.seed)]
-    assignments = options.of(job.scene)
-    command += ["--set", *assignments] if assignments else []
+    command += ["--set", *options.assignments] if options.assignments else []
     command += ["--refine", *options.refinement] if options.refinement else []
     command += [argument for file in options.lpips for argument in ("--lpips", str(file))]
     code = subprocess.run(command).returncode
@@ -116,20 +109,19 @@ def in_own_process(job: Job, options: Options) -> int:
 
 
 def _is_done(job: Job, options: Options) -> bool:
-    wishes = run_settings(job.scene, job.schedule, job.seed, options.of(job.scene), options.refinement)
+    wishes = run_settings(job.scene, job.schedule, job.seed, options.assignments, options.refinement)
     return is_finished(read_result(job.out, wishes, options.lpips))
 
 
 def write_tables(out: Path, schedules: Iterable[str]) -> None:
-    """OUT/tables.md and .csv of all runs in the folder; the asked schedules have rows even without any."""
+    """OUT/tables.md of all runs in the folder; the asked schedules have rows even without any."""
     from gsjax.io.files import atomic_path
 
     results = found_runs(out)
     names = methods({*schedules, *(schedule for _, schedule, _, _ in results)})
     tables = report.tables(measurements(results), names, remarks(results))
-    for suffix, text in (("md", report.markdown), ("csv", report.comma_separated)):
-        with atomic_path(Path(out) / f"tables.{suffix}") as temporary:
-            temporary.write_text(text(tables), encoding="utf-8")
+    with atomic_path(Path(out) / "tables.md") as temporary:
+        temporary.write_text(report.markdown(tables), encoding="utf-8")
 
 
 def remarks(results: Iterable[tuple[str, str, int, dict[str, Any]]]) -> dict[str, str]:
@@ -144,20 +136,6 @@ def remarks(results: Iterable[tuple[str, str, int, dict[str, Any]]]) -> dict[str
     return {scene: f"{scene}: {'; '.join(dict.fromkeys(lines))}." for scene, lines in notes.items() if lines}
 
 
-def by_scene(groups: Iterable[Sequence[str]]) -> dict[str, list[str]]:
-    """Assignments by scene, of groups that begin with a scene's name each.
-
-    Raises:
-        InputError: There is no such scene.
-    """
-    settings: dict[str, list[str]] = {}
-    for name, *assignments in groups:
-        if name not in SCENES:
-            raise InputError(f"--set-scene {name}: none of {', '.join(SCENES)}")
-        settings.setdefault(name, []).extend(assignments)
-    return settings
-
-
 def main() -> None:
     """Reads the arguments, runs, and says where the tables are."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -170,8 +148,6 @@ def main() -> None:
         " paper's two); 3dgs_30k and sugar are the methods that it compares with; vanilla is the first without entropy,"
         " cull and R, whose meshes the sheets then show too")  # fmt: skip
     add("--set", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the training by their dotted keys")
-    add("--set-scene", nargs="+", action="append", default=[], metavar=("NAME", "KEY=VALUE"), help="settings of the"
-        " training of one scene, such as schedule.phases.surface.weights.sdf_normal=0.3; may be repeated")  # fmt: skip
     add("--refine", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the refinement")
     add("--lpips", action="append", default=[], metavar="FILE", help="weights of LPIPS, as for `gsjax eval`; may be"
         " repeated (default: LPIPS is a dash)")  # fmt: skip
@@ -179,7 +155,7 @@ def main() -> None:
     for file in arguments.lpips:
         if not Path(file).is_file():
             raise InputError(f"{file}: no such file of weights")
-    options = Options(arguments.set, arguments.refine, arguments.lpips, by_scene(arguments.set_scene))
+    options = Options(arguments.set, arguments.refine, arguments.lpips)
     failed = reproduce(
         arguments.data, arguments.out, schedules=arguments.preset, seeds=arguments.seeds, options=options
     )

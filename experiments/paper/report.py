@@ -1,7 +1,5 @@
-"""The paper's three tables, with what was measured below what was published, as Markdown and CSV."""
+"""The paper's three tables, with what was measured below what was published, as Markdown."""
 
-import csv
-import io
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -146,22 +144,3 @@ def _markdown_table(table: Table) -> str:
 
 def _piped(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
-
-
-def comma_separated(paper_tables: Sequence[Table]) -> str:
-    """One line a row; means and spreads in columns of their own, a dash where there is none."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    figures = [name for metric in METRICS for name in (metric, f"{metric}_spread")]
-    writer.writerow(["table", "over", "method", *figures, "scenes", "seeds", "source", "notes"])
-    for table in paper_tables:
-        for block in [*table.averages, *table.scenes]:
-            for row in block.rows:
-                numbers = [_number(x) for metric in METRICS for x in (row.values[metric] or (None, None))]
-                rest = [row.scenes, row.seeds, row.source, " ".join(row.notes)]
-                writer.writerow([table.title, block.title, row.method, *numbers, *rest])
-    return file.getvalue()
-
-
-def _number(value: float | None) -> str:
-    return DASH if value is None else f"{value:.6g}"

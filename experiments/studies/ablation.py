@@ -1,6 +1,6 @@
 """What does each surface term of the demo add to vanilla training, at the demo's weights?
 
-    python experiments/compare.py ablation --scene runs/demo/scene --out DIR --seeds 3
+    python experiments/compare.py ablation --scene runs/demo/scene --out DIR --seeds 3 --record
 
 Every variant has the phases, the steps and the true normals of the demo; the weights of its surface phase differ.
 `sdf_normal` is the paper's R, composited by the rasterizer. `pixel_normal` is R at the surface point of each pixel.
@@ -28,7 +28,9 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
 
     return {
         "vanilla": with_terms(),
-        **{name: with_terms(name) for name in ("sdf_normal", "pixel_normal", "thickness")},
-        "all but sdf_normal": with_terms(*(name for name in WEIGHTS if name != "sdf_normal")),
-        "all": with_terms(*WEIGHTS),
+        "+ R composited": with_terms("sdf_normal"),
+        "+ R at pixels": with_terms("pixel_normal"),
+        "+ `thickness`": with_terms("thickness"),
+        "+ all but R composited": with_terms(*(name for name in WEIGHTS if name != "sdf_normal")),
+        "+ all (the demo)": with_terms(*WEIGHTS),
     }

@@ -1,6 +1,6 @@
 """What does each setting trade, accuracy for time?
 
-    python experiments/compare.py settings --scene runs/demo/scene --out DIR --seeds 3
+    python experiments/compare.py settings --scene runs/demo/scene --out DIR --seeds 3 --record
 
 One setting is changed at a time, from those of the demo, with true normals.
 """
@@ -8,7 +8,10 @@ One setting is changed at a time, from those of the demo, with true normals.
 from collections.abc import Mapping
 from typing import Any
 
+from gsjax.pipeline.demo import SURFACE_POINTS
+
 ON = "demo"
+POINTS = SURFACE_POINTS
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
@@ -21,13 +24,14 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
         return {"schedule": {"phases": longer}, "density": density}
 
     changes = {
-        "default": {},
+        f"default: {gaussians:,} Gaussians, {sum(each['steps'] for each in phases):,} steps": {},
         "half of the Gaussians": {"model": {"max_gaussians": gaussians // 2}},
         "twice the Gaussians": {"model": {"max_gaussians": 2 * gaussians}},
         "half of the steps": steps(0.5),
         "twice the steps": steps(2),
-        "3DGS's densification": {"density": {"rule": "adc"}},
-        "surface terms in every step": {"schedule": {"phases": {"surface": {"surface_every": 1}}}},
+        "3DGS's densification, not by error": {"density": {"rule": "adc"}},
+        f"harmonics of degree 3, not {config['model']['sh_degree']}": {"model": {"sh_degree": 3}},
+        "surface terms in every step, not every fourth": {"schedule": {"phases": {"surface": {"surface_every": 1}}}},
         "no surface terms": {"schedule": {"vanilla": True}},
     }
     true_normals = {"supervision": {"normals": "{scene}/normals"}}

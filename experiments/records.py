@@ -1,0 +1,35 @@
+"""Result files in JSON: rows beside the version of the product, the machine, and the versions of packages."""
+
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from gsjax.io import json_files
+
+ROOT = Path(__file__).parents[1]
+RESULTS, PICTURES = ROOT / "experiments/results", ROOT / "docs/assets"
+
+Row = dict[str, Any]
+
+
+def read(name: str) -> list[Row]:
+    """The rows of `results/NAME.json` that today's product made; none where it changed."""
+    before = json_files.read(file) if (file := RESULTS / f"{name}.json").exists() else {}
+    return before["rows"] if before.get("version") == _version() else []
+
+
+def write(name: str, rows: Sequence[Row]) -> None:
+    """Write the rows as `results/NAME.json`."""
+    from gsjax.io.machine import machine, versions
+
+    about = {"version": _version(), "machine": machine(), "versions": versions()}
+    json_files.write(RESULTS / f"{name}.json", {**about, "rows": rows})
+
+
+def _version() -> str:
+    """The product's content, whatever the pages say."""
+    trees = subprocess.run(
+        ["git", "rev-parse", "HEAD:gsjax", "HEAD:rasterizer"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return "+".join(each[:8] for each in trees.stdout.split())
