@@ -29,6 +29,9 @@ WITHOUT_A_NAME = {
 
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
 
+  --demo--> a built-in scene, trained and meshed: a first try
+  --doctor--> whether this installation and this machine are fit for work
+
   photos --scan--> all of this at once:
 
   photos --sfm--> scene --train--> run --mesh--> mesh.ply --refine--> mesh and Gaussians bound to it

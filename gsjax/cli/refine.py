@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--mesh", metavar="FILE", help="the mesh; .ply, .obj or .glb (default: RUN/mesh.ply)")
     add("--out", metavar="OUT", required=True, help="folder for the result; must be empty")
     add("--preset", choices=PRESETS,
-        help="how long: minutes on a CPU, three times as many, or 7,000 or 15,000 steps for a GPU "
+        help="how long: minutes on a CPU, 2.4 to 2.8 times as many, or 7,000 or 15,000 steps for a GPU "
         "(default: fast)")  # fmt: skip
     add("--steps", type=int, metavar="N", help="training steps, instead of the preset's")
     add("--faces", type=int, metavar="N", help="decimate the mesh to at most so many triangles first")

@@ -63,7 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " file names, one a line (default: the data set's own split, else 8)")  # fmt: skip
     add("--normals", metavar="DIR", nargs="?", const="auto", help="folder of normal maps (.npy, .npz or .png, named as"
         " the photos), or the name of one in SCENE, as in --normals moge2; without a value, the one that `gsjax"
-        " normals` made there; without the option the first phase's own smoothed depth normals serve")  # fmt: skip
+        " normals` made there; without the option those of multi-view stereo, or smoothed ones of the rendered"
+        " depth")  # fmt: skip
     add("--normal-axes", metavar="SIGNS", help="what brings the maps' axes to ours (x right, y down, z forward): three"
         " signs, as in --normal-axes=+x-y-z, or opencv, opengl, dsine, pytorch3d (default: found by"
         " comparing)")  # fmt: skip
@@ -83,7 +84,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--effects", metavar="auto|none|NAMES", help="what photography added to the scene, to be simulated: auto,"
         " what the photos show (see `gsjax diagnose`); or names, as in exposure,poses (default: auto; none with the"
         " paper's presets)")  # fmt: skip
-    add("--vanilla", action="store_const", const=True, help="plain 3DGS: leave the normal term out")
+    add("--vanilla", action="store_const", const=True, help="vanilla 3DGS: photometric terms alone, without"
+        " normals, stereo and sparse-view regularization")  # fmt: skip
     add("--devices", metavar="N|all", help="share the photos of every step among so many devices, each with"
         " all Gaussians (default: 1; across machines: all)")  # fmt: skip
     add("--views-per-step", type=int, metavar="V", help="photos that a step takes, a multiple of the devices: fewer and"
