@@ -110,7 +110,7 @@ def page_table(rows: Sequence[Row]) -> str:
     lines = []
     for (scene, preset, vanilla), group in groups.items():
         first = group[0]
-        normals = "none" if vanilla or preset == "quick" else "self-supervised"
+        normals = "none" if vanilla or preset == "quick" else "stereo of the photos"
         kind = next((each for each in SURFACE if each in first), None)
         lines.append(
             [

@@ -99,8 +99,8 @@ def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
         for seed in range(seeds if strength else 1)
     ]
     rows, loaded = records.read(NAME), {}
-    known = {(row["scene"], row["effect"], row["strength"], row["seed"]) for row in rows}
-    for name, effect, strength, seed in tqdm([job for job in jobs if job not in known], desc="diagnoses", unit="scene"):
+    done = {(row["scene"], row["effect"], row["strength"], row["seed"]) for row in rows}
+    for name, effect, strength, seed in tqdm([job for job in jobs if job not in done], desc="diagnoses", unit="scene"):
         path, _, downscale = scenes[name].partition("@")
         scene = loaded.setdefault(name, load_scene(path, downscale=float(downscale or 1)))
         streams = np.random.default_rng([seed, *effect.encode()]).spawn(len(scene.frames))

@@ -1,4 +1,4 @@
-"""Result files in JSON: rows beside the version of the product, the machine, and the versions of packages."""
+"""Result files in JSON: rows with the version of the product, the machine, and the versions of packages."""
 
 import subprocess
 from collections.abc import Sequence
