@@ -4,7 +4,7 @@
     python experiments/pictures.py fox RUN --out docs/assets/fox.gif             # RUN: with RUN/mesh.ply
     python experiments/pictures.py walls RUN ... --meshes FILE ... --titles TITLE ... --out docs/assets/room_flat.jpg
 
-No picture holds a photo: the licences of the data sets do not allow that. An error map stands for it.
+No picture holds a photo, as the data sets are for non-commercial research. An error map shows what differs.
 """
 
 import argparse
@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
 
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
+from gsjax.io.images import cv2
+from gsjax.io.video_writer import write_video
 
 if TYPE_CHECKING:  # They import jax.
     from gsjax.runs.result import Result
@@ -27,60 +28,53 @@ if TYPE_CHECKING:  # They import jax.
 Panel = tuple[str, np.ndarray]
 """A title, and a picture `[H, W, 3]` uint8."""
 
-GAP, INK = 8, (20, 20, 20)  # white pixels between panels; of titles
+GAP = 8  # white pixels between panels
 ERROR_GAIN = 8  # A difference of 32 of 255 is black.
 ENLARGED = 1.5  # of a view, against its photo
 WALL_VIEWS = 0, 3  # of the held-out ones
 FILM = 216, 288  # pixels of a panel
-FRAMES, FRAME_MS, COLORS = 24, 150, 160  # of the film
+FRAMES, FPS, STEP = 24, 7.0, 8  # of the film; its colours are multiples of 8 of 255, so that the file stays small
 SWING, LIFT = 35.0, 8.0  # of its camera, degrees to each side, and up and down
 FIELD = 1.45  # tangents of its field of view, in those of the photos
 
 
-def sheet(rows: Sequence[Sequence[Panel]], width: int, *, size: int = 26) -> Image.Image:
-    """Rows of panels, as wide as the longest row fills `width` pixels, each below its title of `size` pixels."""
-    each = (width - GAP * (max(map(len, rows)) - 1)) // max(map(len, rows))
-    strips = [_strip([(title, _fitted(picture, each)) for title, picture in row], size) for row in rows]
-    whole = Image.new("RGB", (max(s.width for s in strips), sum(s.height + GAP for s in strips) - GAP), "white")
-    top = 0
-    for strip in strips:
-        whole.paste(strip, (0, top))
-        top += strip.height + GAP
-    return whole
+def sheet(rows: Sequence[Sequence[Panel]], width: int, *, size: float = 18) -> np.ndarray:
+    """`[H, W, 3]` uint8: rows of panels below their titles of `size` points, `width` pixels in all."""
+    columns = max(map(len, rows))
+    each = (width - GAP * (columns - 1)) // columns
+    strips = []
+    for row in rows:
+        panels = [np.concatenate([title_strip(title, each, size), fitted(picture, each)]) for title, picture in row]
+        gap = np.full((len(panels[0]), GAP, 3), 255, np.uint8)
+        strip = np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1)
+        strips += [strip, np.full((GAP, strip.shape[1], 3), 255, np.uint8)]
+    return np.concatenate(strips[:-1])
 
 
-def save(picture: Image.Image, out: str | Path) -> None:
-    """Write a picture; hues of normals need a JPEG without subsampling."""
+def write_jpeg(out: str, picture: np.ndarray) -> None:
+    """Write a picture at a quality of 85; without subsampling, which blurs the hues of normals."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    encoded = cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), options)[1]
     with atomic_path(out) as temporary:
-        jpeg = {"quality": 85, "subsampling": 0} if Path(out).suffix == ".jpg" else {"optimize": True}
-        picture.save(temporary, **jpeg)
+        temporary.write_bytes(encoded.tobytes())
 
 
-def _fitted(picture: np.ndarray, width: int) -> Image.Image:
-    image = Image.fromarray(picture)
-    height = round(image.height * width / image.width)
-    return image.resize((width, height), Image.Resampling.LANCZOS if width < image.width else Image.Resampling.BICUBIC)
+def title_strip(title: str, width: int, size: float) -> np.ndarray:
+    """`[H, width, 3]` uint8: dark text on white, `size` points of 100 to an inch."""
+    from gsjax.report.figures import new_figure
+
+    figure = new_figure(width / 100, 2.2 * size / 100)
+    figure.text(0.5, 0.5, title, size=size, color="0.1", ha="center", va="center")
+    figure.canvas.draw()
+    return np.array(figure.canvas.buffer_rgba())[..., :3]
 
 
-def _strip(panels: Sequence[tuple[str, Image.Image]], size: int) -> Image.Image:
-    font = ImageFont.truetype(_font_file(), size)
-    lines = max(title.count("\n") + 1 for title, _ in panels)
-    head = round(lines * 1.25 * size + 0.3 * size)
-    height = head + max(image.height for _, image in panels)
-    strip = Image.new("RGB", (sum(image.width + GAP for _, image in panels) - GAP, height), "white")
-    left = 0
-    for title, image in panels:
-        at = left + image.width / 2, head / 2
-        ImageDraw.Draw(strip).multiline_text(at, title, INK, font, anchor="mm", align="center", spacing=0.2 * size)
-        strip.paste(image, (left, head))
-        left += image.width + GAP
-    return strip
-
-
-def _font_file() -> str:
-    from matplotlib import font_manager
-
-    return font_manager.findfont("DejaVu Sans")
+def fitted(picture: np.ndarray, width: int) -> np.ndarray:
+    """A picture of another width, its sides in the same proportion."""
+    height = round(picture.shape[0] * width / picture.shape[1])
+    return cv2.resize(
+        picture, (width, height), interpolation=cv2.INTER_AREA if width < picture.shape[1] else cv2.INTER_CUBIC
+    )
 
 
 def room(scan: Path, out: str) -> None:
@@ -97,21 +91,21 @@ def room(scan: Path, out: str) -> None:
     index = result.held_out.index(True)
     frame = next(f for f in scene_of_run(scan / "run").held_out_frames if f.name == result.names[index])
     camera, large = result.cameras[index], enlarged(result.cameras[index], ENLARGED)
-    render, shown = _drawn(result, camera), _drawn(result, large)
+    small, picture = _rendered(result, camera), _rendered(result, large)
     photo = frame.pixels().image
     local = result.similarity.mesh_to_local
     coarse, refined = (local(read_mesh(scan / folder / "mesh.ply")) for folder in ("run", "refined"))
     above = [
-        ("render of the Gaussians", to_bytes(shown.colors)),
-        (f"its error against the photo, {ERROR_GAIN} times", error_map(photo, to_bytes(render.colors))),
-        ("normals of its depth", surface_picture(shown.depth, large)),
+        ("render of the Gaussians", to_bytes(picture.colors)),
+        (f"its error against the photo, {ERROR_GAIN} times", error_map(photo, to_bytes(small.colors))),
+        ("normals of its depth", surface_picture(picture.depth, large)),
     ]
     below = [
         ("coarse mesh", mesh_picture(coarse, large)),
         ("refined mesh", mesh_picture(refined, large)),
         ("refined mesh, textured", mesh_picture(local(textured.mesh), large, texture_colors(textured))),
     ]
-    save(sheet([above, below], 1440), out)
+    write_jpeg(out, sheet([above, below], 1440))
     print(frame.name)
 
 
@@ -133,7 +127,7 @@ def enlarged(camera: "Camera", factor: float) -> "Camera":
     return Camera(camera.viewmat, K, round(factor * camera.width), round(factor * camera.height))
 
 
-def _drawn(result: "Result", camera: "Camera"):
+def _rendered(result: "Result", camera: "Camera"):
     from gsjax.rendering import gallery
 
     return next(gallery.pictures(result.gaussians, [camera], result.background, result.depth_mode))
@@ -152,9 +146,12 @@ def walls(runs: Sequence[Path], meshes: Sequence[str], titles: Sequence[str], ou
         held_out = [index for index, is_held_out in enumerate(result.held_out) if is_held_out]
         indices = [held_out[view] for view in WALL_VIEWS]
         columns.append([mesh_picture(mesh, enlarged(result.cameras[index], ENLARGED)) for index in indices])
-        print(run, [result.names[index] for index in indices])
-    rows = [list(zip(titles, pictures, strict=True)) for pictures in zip(*columns, strict=True)]
-    save(sheet(rows, 1440), out)
+    names = [Path(result.names[index]).stem for index in indices]
+    rows = [
+        [(f"{name}: {title}", picture) for title, picture in zip(titles, pictures, strict=True)]
+        for name, pictures in zip(names, zip(*columns, strict=True), strict=True)
+    ]
+    write_jpeg(out, sheet(rows, 1440))
 
 
 def fox(run: Path, out: str) -> None:
@@ -174,10 +171,9 @@ def fox(run: Path, out: str) -> None:
     for render, grey in zip(renders, meshes, strict=True):
         over_white = grey.colors + 1 - grey.alphas[..., None]
         panels = [("render", to_bytes(render.colors)), ("mesh", to_bytes(over_white))]
-        frames.append(sheet([panels], 2 * FILM[0] + GAP, size=22))
-    few = [frame.quantize(COLORS, dither=Image.Dither.NONE) for frame in frames]
-    with atomic_path(out) as temporary:
-        few[0].save(temporary, format="GIF", save_all=True, append_images=few[1:], duration=FRAME_MS, loop=0)
+        frame = sheet([panels], 2 * FILM[0] + GAP, size=16)
+        frames.append(np.minimum(np.round(frame / STEP) * STEP, 255).astype(np.uint8))
+    write_video(out, frames, FPS, frames[0].shape[1], frames[0].shape[0])
 
 
 def arc(cameras: Sequence["Camera"]) -> list["Camera"]:
