@@ -138,7 +138,7 @@ def draw(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
     """A panel an effect: the share of the scenes in which it is detected, against its strength."""
     from gsjax.report.figures import new_figure
 
-    figure = new_figure(3 * len(EFFECTS), 2.8)
+    figure = new_figure(2.3 * len(EFFECTS), 2.4)
     panels = figure.subplots(1, len(EFFECTS), sharey=True)
     for panel, (effect, each) in zip(panels, EFFECTS.items(), strict=True):
         counts = detections(rows, effect)
@@ -146,7 +146,7 @@ def draw(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
         panel.set(title=effect, xlabel=each.unit)
     panels[0].set_ylabel("detected, % of the scenes")
     with atomic_path(file) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
+        figure.savefig(temporary, dpi=160, format="png")
 
 
 def main() -> None:

@@ -191,7 +191,7 @@ def draw_comparison(families, file):
     from gsjax.io.files import atomic_path
     from gsjax.report.figures import new_figure
 
-    figure = new_figure(11, 5.2)
+    figure = new_figure(10, 5)
     panels = figure.subplots(1, 2, sharey=True)
     not_finite = 1e3
     for place, (panel, name, bound) in enumerate(zip(panels, ("image", "gradient"), (1e-5, 1e-4), strict=True)):
@@ -206,11 +206,11 @@ def draw_comparison(families, file):
         panel.set_xscale("log")
         ticks = {1e-9: "0", 1e-7: "1e-7", 1e-5: "1e-5", 1e-3: "1e-3", 1e-1: "0.1", not_finite: "not\nfinite"}
         panel.set_xticks(list(ticks), list(ticks.values()))
-        panel.set_xlabel(f"relative error of the {name} in float32")
+        panel.set_xlabel(f"relative error of the {name}")
         panel.grid(axis="y", color="0.9")
         panel.set_axisbelow(True)
     panels[0].set_yticks(range(len(families)), [f"{family} ({len(cases)})" for family, cases in families.items()])
     panels[0].invert_yaxis()
-    panels[1].legend(loc="upper right", ncols=2)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)  # hides no case
     with atomic_path(file) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
+        figure.savefig(temporary, dpi=150, format="png")

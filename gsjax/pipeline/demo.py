@@ -14,7 +14,7 @@ from gsjax.meshing.export import read_mesh
 from gsjax.presets import DEMO
 from gsjax.rendering import gallery
 from gsjax.report.figures import draw_panels
-from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
+from gsjax.report.pictures import difference_picture, mesh_picture, normal_picture, surface_picture
 from gsjax.runs.result import Result, open_result
 from gsjax.scene.colors import to_bytes
 from gsjax.settings import Settings
@@ -22,6 +22,7 @@ from gsjax.settings import Settings
 NUM_VIEWS, SIZE = 48, (192, 192)
 SURFACE_POINTS = 60_000  # A quarter of the usual: a third less time, and meshes 4 % further from the truth.
 PICTURE_VIEW = 1  # Of the held-out ones.
+ERROR_GAIN = 8  # A difference of 32 of 255 is black.
 REPORTED = ("psnr", "ssim", "normal_error_deg", "normal_error_median_deg", "normal_error_all_deg", "chamfer",
             "accuracy", "completeness", "fscore_quarter", "fscore_half", "fscore", "normal_consistency",
             "gaussians")  # fmt: skip
@@ -84,7 +85,7 @@ def _reported(figures: dict[str, Any]) -> dict[str, Any]:
 
 
 def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Path:
-    """comparison.png: photo and render, normals before, after and true, and both meshes, of one held-out view."""
+    """comparison.png: photo, render, its error, normals before, after and true, both meshes, of one held-out view."""
     loaded = load_scene(scene)
     frame, truth = loaded.held_out_frames[PICTURE_VIEW], loaded.truth
     index, local = surface.names.index(frame.name), surface.similarity.mesh_to_local
@@ -94,13 +95,15 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
     )
 
     assert truth is not None, "the demo writes its own truth"
+    photo, render = frame.pixels().image, to_bytes(after.colors)
     panels = {
-        "held-out photo": frame.pixels().image,
+        f"photo {frame.name}, held out": photo,
         "normals, vanilla": surface_picture(before.depth, camera),
         "normals, surface terms": surface_picture(after.depth, camera),
         "normals, true": normal_picture(truth.normals[frame.name]()),
-        "render, surface terms": to_bytes(after.colors),
+        "render, surface terms": render,
         "mesh, vanilla": mesh_picture(local(read_mesh(out / "vanilla" / "mesh.ply")), camera),
         "mesh, surface terms": mesh_picture(local(read_mesh(out / "surface" / "mesh.ply")), camera),
+        f"error of the render, {ERROR_GAIN} times": difference_picture(photo, render, ERROR_GAIN),
     }
     return draw_panels(panels, out / "comparison.png")

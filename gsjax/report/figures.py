@@ -43,10 +43,11 @@ def draw_panels(panels: Mapping[str, np.ndarray], path: str | Path, *, columns: 
     figure = new_figure(13, (13 / columns * height / width + 0.4) * rows)
     for axes, (title, image) in zip(figure.subplots(rows, columns, squeeze=False).flat, panels.items(), strict=False):
         axes.imshow(image, interpolation="nearest")
-        axes.set_title(title, fontsize=11)
+        axes.set_title(title, fontsize=13)  # legible at half of the width
     for axes in figure.axes:
         axes.axis("off")
     with atomic_path(path) as temporary:
         # Of JPEG alone: normals are read by their hue, which subsampling blurs.
-        figure.savefig(temporary, dpi=110, pil_kwargs={"quality": 85, "subsampling": 0})
+        jpeg = {"quality": 85, "subsampling": 0}
+        figure.savefig(temporary, dpi=110, bbox_inches="tight", pad_inches=0.05, pil_kwargs=jpeg)
     return Path(path)

@@ -41,6 +41,12 @@ def surface_picture(depth: np.ndarray, camera: Camera) -> np.ndarray:
     return normal_picture(np.asarray(depth_normals(jnp.asarray(depth), camera)))
 
 
+def difference_picture(image: np.ndarray, other: np.ndarray, gain: float) -> np.ndarray:
+    """`[H, W, 3]` uint8 grey: white where two pictures of bytes are equal, darker by the mean difference of colours."""
+    difference = np.abs(image.astype(np.float32) - other.astype(np.float32)).mean(-1, keepdims=True)
+    return to_bytes(np.repeat(1 - np.minimum(gain * difference / 255, 1), 3, -1))
+
+
 def mesh_picture(mesh: Mesh, camera: Camera, shading: Shading = headlight, cast: Cast | None = None) -> np.ndarray:
     """`[H, W, 3]` uint8: a mesh as `camera` sees it."""
     return render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading, cast=cast)
