@@ -16,6 +16,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path, read_bytes
+from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.files.named_files import NamedFiles
@@ -26,6 +27,7 @@ from gsjax.scene.meshes import Mesh
 from gsjax.scene.similarity import loses_in_float32, spread
 
 _DIGITS = 9  # Significant ones of a coordinate in text: no float32 is rounded.
+_COPIES = 13  # Bytes for each of a file, while trimesh reads it: the most of three measured files.
 _MATERIAL = """newmtl surface
 Ka 0 0 0
 Kd 1 1 1
@@ -33,10 +35,19 @@ Ks 0 0 0
 illum 1
 map_Kd {picture}
 """
+
+
+def _without_comment(match: re.Match[str]) -> str:
+    """Return nothing for a comment behind numbers, and what may be part of a name as it is."""
+    line = match.string.rfind("\n", 0, match.start()) + 1
+    return "" if match.string.startswith(("v ", "vt ", "f "), line) else match[0]
+
+
 _CLEANED = (  # What trimesh would read wrong, and its replacement.
     (r"\t|\\\r?\n", " "),  # A backslash continues a line.
     (r"\r?\n *", "\n"),
-    (r"[\n ]#.*", ""),
+    (r"\n#.*", ""),
+    (r" #.*", _without_comment),
     (r"//-?\d+|/(?=[ \n])", ""),  # Normals without places in a texture would be read as places after faces with these.
 )
 
@@ -48,7 +59,9 @@ def read_obj(path: Path, named: NamedFiles) -> list[Part]:
         InputError: It cannot be read, or lists faces that trimesh would take for other ones.
         ValueError, LookupError, TypeError: It is damaged.
     """
-    text = "\n" + read_bytes(path).removeprefix(b"\xef\xbb\xbf").decode("utf-8", "surrogateescape") + "\n"
+    content = read_bytes(path)
+    require_memory(f"{path}: an OBJ of {len(content) / 2**30:.3g} GiB", _COPIES * len(content))
+    text = "\n" + content.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "surrogateescape") + "\n"
     for pattern, replacement in _CLEANED:
         text = re.sub(pattern, replacement, text)
     if wrong := re.search(r"\nf.*[ /]-?0+[ /\n]|\nf(?: +\S+){0,2} *\n", text):

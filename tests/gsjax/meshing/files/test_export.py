@@ -69,7 +69,7 @@ def nearest(picture, uvs):
     return picture[rows, columns]
 
 
-@pytest.mark.parametrize("name", ["m.glb", "m.obj"])
+@pytest.mark.parametrize("name", ["m.glb", "m 1 #2.obj"])
 def test_a_texture_round_trips(tmp_path, textured, name):
     write_textured(tmp_path / name, textured)
     result = read_textured(tmp_path / name)
