@@ -175,9 +175,7 @@ def _read(path: Path) -> Part:
             if not parts:
                 raise InputError(f"{path}: holds no triangles")
             part = merge_parts(path, parts)
-            return replace(
-                part, vertices=as_needed(part.vertices.astype(np.float64)), faces=part.faces.astype(np.int32)
-            )
+            return replace(part, vertices=as_needed(part.vertices.astype(np.float64)))
     except InputError:
         raise
     except Exception as error:  # Readers raise whatever the broken bytes lead to.

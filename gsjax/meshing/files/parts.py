@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.io.messages import print_once
+from gsjax.meshing.cleaning import concatenate_meshes
+from gsjax.scene.meshes import Mesh
 
 GREY = 128  # of what has no colour
 BORDER = 1e-4  # Sides of a texture by which places may lie outside and still mean its border.
@@ -36,12 +38,7 @@ def merge_parts(path: Path, parts: Sequence[Part]) -> Part:
     """
     parts = [_near_texture(part) for part in parts]
     first = parts[0].texture
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    whole = Part(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
-        np.concatenate([shown_colors(part) for part in parts]),
-    )
+    mesh = concatenate_meshes([Mesh(part.vertices, part.faces, shown_colors(part)) for part in parts])
     fault = None
     if not all(_equal(part.texture, first) for part in parts):
         fault = "only a mesh with one texture keeps it"
@@ -49,9 +46,10 @@ def merge_parts(path: Path, parts: Sequence[Part]) -> Part:
         fault = "its texture repeats"
     if fault is not None:
         print_once(f"{path}: {fault}; it is read with colours of vertices")
-    elif first is not None:
-        return replace(whole, uvs=np.concatenate([part.uvs for part in parts if part.uvs is not None]), texture=first)
-    return whole
+    if fault is not None or first is None:
+        return Part(mesh.vertices, mesh.faces, mesh.colors)
+    uvs = np.concatenate([part.uvs for part in parts if part.uvs is not None])
+    return Part(mesh.vertices, mesh.faces, mesh.colors, uvs, first)
 
 
 def shown_colors(part: Part) -> np.ndarray:
