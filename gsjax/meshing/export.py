@@ -6,6 +6,9 @@ translation of their node in a GLB. Such vertices are read as float64, all other
 A texture goes into OBJ, with an MTL and a PNG of the same name, into GLB, or into USDZ, which is written only. The
 textured OBJ has vertex colours too; the textured GLB has none, since glTF would multiply them with the texture.
 
+Of other programs' files one texture that does not repeat is read; several become colours of vertices. A line reports
+every picture that is not read. A file that trimesh would read wrong is refused.
+
 No axis is turned. glTF and USD call y "up": their viewers may show a scene with another up axis lying on its side.
 """
 
@@ -24,7 +27,7 @@ from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.files import glb, obj, usdz
 from gsjax.meshing.files.glb_reader import read_glb
 from gsjax.meshing.files.named_files import NamedFiles
-from gsjax.meshing.files.parts import Part, merge_parts, shown_colors, within_texture
+from gsjax.meshing.files.parts import Part, merge_parts
 from gsjax.meshing.files.ply_reader import LONGEST_HEADER, read_ply
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.meshes import Mesh
@@ -101,11 +104,11 @@ def read_mesh(path: str | Path) -> Mesh:
         InputError: Unknown suffix, no such file, not readable as that format, or no triangles in it.
     """
     part = _read(Path(path))
-    return Mesh(part.vertices, part.faces, shown_colors(part))
+    return Mesh(part.vertices, part.faces, part.colors)
 
 
 def read_textured(path: str | Path) -> TexturedMesh | None:
-    """Read a mesh as `read_mesh` does, with its texture, several in one picture; None where not all of it has one."""
+    """Read a mesh as `read_mesh` does, with its texture; None where not all of it shows the same one."""
     return _textured(_read(Path(path)))
 
 
@@ -152,7 +155,7 @@ def textured_suffix(path: Path) -> str:
 def _textured(part: Part) -> TexturedMesh | None:
     if part.texture is None:
         return None
-    mesh = Mesh(part.vertices, part.faces, shown_colors(part))
+    mesh = Mesh(part.vertices, part.faces, part.colors)
     every_vertex = np.arange(mesh.num_vertices, dtype=np.int32)
     atlas = Atlas(np.asarray(part.uvs, np.float32), every_vertex, part.faces, part.texture.shape[1], 0)
     return TexturedMesh(mesh, atlas, part.texture)
@@ -171,10 +174,8 @@ def _read(path: Path) -> Part:
             parts = [_require_drawable(path, part) for part in read(path, named) if len(part.faces)]
             if not parts:
                 raise InputError(f"{path}: holds no triangles")
-            part = merge_parts([within_texture(part, named) for part in parts])
-            return replace(
-                part, vertices=as_needed(part.vertices.astype(np.float64)), faces=part.faces.astype(np.int32)
-            )
+            part = merge_parts(path, parts)
+            return replace(part, vertices=as_needed(part.vertices.astype(np.float64)))
     except InputError:
         raise
     except Exception as error:  # Readers raise whatever the broken bytes lead to.

@@ -1,33 +1,33 @@
-"""OBJ files. They are read line by line: millions of lines take little more memory than the numbers in them.
+"""OBJ files: trimesh reads them. What it would read wrong is refused, and what it leaves out is reported.
 
 A face's index of 1 means the first vertex, and -1 the last before that face; polygons are fans of triangles.
 """
 
 import math
 import os
-from array import array
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from io import BytesIO
+import re
+import warnings
+from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path, read_bytes
+from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
 from gsjax.meshing.atlas import TexturedMesh
-from gsjax.meshing.files.mtl import Material, read_materials
 from gsjax.meshing.files.named_files import NamedFiles
-from gsjax.meshing.files.parts import Part, clamp_places, split_corners, without_unused
+from gsjax.meshing.files.parts import GREY, Part, from_above
 from gsjax.scene.colors import shares, to_bytes
 from gsjax.scene.georeference import Place
 from gsjax.scene.meshes import Mesh
 from gsjax.scene.similarity import loses_in_float32, spread
 
-_NO_COLOR = float("nan")  # of a vertex among others that have one
-_NO_PLACE = 0  # Of indices, which count from 1.
 _DIGITS = 9  # Significant ones of a coordinate in text: no float32 is rounded.
+_COPIES = 13  # Bytes for each of a file, while trimesh reads it: the most of three measured files.
 _MATERIAL = """newmtl surface
 Ka 0 0 0
 Kd 1 1 1
@@ -37,177 +37,85 @@ map_Kd {picture}
 """
 
 
-@dataclass
-class _Content:
-    """The numbers of a file, row after row."""
+def _without_comment(match: re.Match[str]) -> str:
+    """Return nothing for a comment behind numbers, and what may be part of a name as it is."""
+    line = match.string.rfind("\n", 0, match.start()) + 1
+    return "" if match.string.startswith(("v ", "vt ", "f "), line) else match[0]
 
-    positions: array = field(default_factory=lambda: array("d"))  # three a vertex
-    colors: array = field(default_factory=lambda: array("f"))  # likewise, or none where no vertex has one
-    places: array = field(default_factory=lambda: array("d"))  # two a place in a texture
-    corners: array = field(default_factory=lambda: array("i"))  # three vertices a triangle, counted from 1
-    corner_places: array = field(default_factory=lambda: array("i"))  # their places, or none where no face has any
-    materials: list[tuple[str, int]] = field(default_factory=list)  # and from which triangle on each is used
-    libraries: list[str] = field(default_factory=list)  # files of materials
+
+_CLEANED = (  # What trimesh would read wrong, and its replacement.
+    (r"\t|\\\r?\n", " "),  # A backslash continues a line.
+    (r"\r?\n *", "\n"),
+    (r"\n#.*", ""),
+    (r" #.*", _without_comment),
+    (r"//-?\d+|/(?=[ \n])", ""),  # Normals without places in a texture would be read as places after faces with these.
+)
 
 
 def read_obj(path: Path, named: NamedFiles) -> list[Part]:
     """The triangles of an .obj by their materials: with a texture, with colours of vertices, or of their material's.
 
     Raises:
-        InputError: It cannot be read, a line is none of an OBJ (its number is named), or an index is beyond its rows.
+        InputError: It cannot be read, or lists faces that trimesh would take for other ones.
+        ValueError, LookupError, TypeError: It is damaged.
     """
-    content = _content(path)
-    for indices, count, what in (
-        (content.corners, len(content.positions) // 3, "vertex"),
-        (content.corner_places, len(content.places) // 2, "place in its texture"),
-    ):
-        if indices and _rows(indices, 1).max() > count:
-            raise InputError(f"{path}: a triangle of it has a {what} that is not among its {count}")
-    groups = _by_material(content.materials, len(content.corners) // 3)
-    materials = _materials(content.libraries, named)
-    parts = [_part(content, name, rows, materials, named) for name, rows in groups.items()]
-    if all(part.texture is None for part in parts):
-        for name, material in materials.items():
-            if material.picture is not None and name.lower() not in {used.lower() for used in groups}:
-                named.report_missing(material.picture, "belongs to a material of no triangle")
-    return [without_unused(part) for part in parts] if len(parts) > 1 else parts
+    content = read_bytes(path)
+    require_memory(f"{path}: an OBJ of {len(content) / 2**30:.3g} GiB", _COPIES * len(content))
+    text = "\n" + content.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "surrogateescape") + "\n"
+    for pattern, replacement in _CLEANED:
+        text = re.sub(pattern, replacement, text)
+    if wrong := re.search(r"\nf.*[ /]-?0+[ /\n]|\nf(?: +\S+){0,2} *\n", text):
+        raise InputError(f"{path}: {wrong[0].strip()!r} is no face: three corners or more, counted from 1")
+    if (relative := re.search(r"\nf.*[ /]-", text)) and re.search(r"\nvt? ", text[relative.end() :]):
+        raise InputError(f"{path}: has vertices behind faces that count from the last; save it with indices from 1")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "string or file could not be read")  # Else the rest of the file is left out.
+        loaded = list(require("trimesh").exchange.obj.load_obj(StringIO(text), named).get("geometry", {}).values())
+    parts = [_part(each, named) for each in loaded]
+    triangles = sum(len(line.split()) - 3 for line in re.findall(r"\nf.*", text))
+    if triangles != (count := sum(len(part.faces) for part in parts)):
+        raise InputError(f"{path}: lists faces of {triangles} triangles, of which {count} can be read")
+    colored = any("vertex_colors" in each for each in loaded)
+    if not colored and re.search(r"\nv(?: +\S+){6}", text):
+        named.report_missing("colours of vertices", "are not those of all vertices")
+    pairs = zip(loaded, parts, strict=True)
+    textured = [each["visual"].material.name for each, part in pairs if part.texture is not None]
+    _report_unread(text, textured, named, colored=colored)
+    return parts
 
 
-def _content(path: Path) -> _Content:
-    content = _Content()
-    content.materials.append(("", 0))
-    for number, words in _statements(read_bytes(path).removeprefix(b"\xef\xbb\xbf")):
-        try:
-            if words[0] == b"v":
-                _add_vertex(content, words)
-            elif words[0] == b"f":
-                _add_face(content, words[1:])
-            elif words[0] == b"vt":
-                content.places.extend((float(words[1]), float(words[2]) if len(words) > 2 else 0.0))
-            elif words[0] == b"usemtl":
-                content.materials.append((os.fsdecode(b" ".join(words[1:])), len(content.corners) // 3))
-            elif words[0] == b"mtllib":
-                content.libraries.append(os.fsdecode(b" ".join(words[1:])))
-        except (ValueError, OverflowError, IndexError) as error:
-            raise InputError(f"{path}, line {number}: {error}") from error
-    if content.colors:
-        _fill(content.colors, len(content.positions), _NO_COLOR)
-    if content.corner_places:
-        _fill(content.corner_places, len(content.corners), _NO_PLACE)
-    return content
+def _part(loaded: dict[str, Any], named: NamedFiles) -> Part:
+    """The triangles of one material."""
+    vertices, faces = loaded["vertices"], require("trimesh").geometry.triangulate_quads(loaded["faces"])
+    material, uvs = getattr(loaded["visual"], "material", None), getattr(loaded["visual"], "uv", None)
+    texture = named.pixels(getattr(material, "image", None))
+    if uvs is not None and texture is not None:
+        return Part(vertices, faces, np.full(vertices.shape, GREY, np.uint8), from_above(uvs), texture)
+    if "vertex_colors" in loaded:
+        return Part(vertices, faces, to_bytes(shares(loaded["vertex_colors"])))
+    color = getattr(material, "kwargs", {}).get("kd", GREY / 255)
+    return Part(vertices, faces, np.broadcast_to(to_bytes(np.array(color, np.float64)), vertices.shape))
 
 
-def _statements(text: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """Number and words of each line that has some, without comments; lines that a backslash continues are one."""
-    prefix = b""
-    for number, line in enumerate(BytesIO(text), 1):
-        if b"\\" in line and line.rstrip().endswith(b"\\"):
-            prefix += line.rstrip()[:-1] + b" "
-            continue
-        words = (prefix + line).split()
-        prefix = b""
-        if b"#" in line and words[0] in (b"v", b"vt", b"f"):
-            words = words[: next((at for at, word in enumerate(words) if word.startswith(b"#")), None)]
-        if words:
-            yield number, words
+def _report_unread(text: str, textured: Sequence[str], named: NamedFiles, *, colored: bool) -> None:
+    """Report each file, material and picture that the file lists and that gives no colours.
 
-
-def _add_vertex(content: _Content, words: Sequence[bytes]) -> None:
-    """Three coordinates, and a colour where three more numbers follow."""
-    before = len(content.positions)
-    content.positions.extend(map(float, words[1:4]))
-    if len(content.positions) != before + 3:
-        raise ValueError("a vertex does not have three coordinates")
-    if len(words) > 6:
-        _fill(content.colors, before, _NO_COLOR)
-        content.colors.extend(map(float, words[4:7]))
-
-
-def _add_face(content: _Content, corners: Sequence[bytes]) -> None:
-    """A corner is a vertex, and perhaps a place in the texture behind a slash; a face has places for all or none."""
-    if not corners:
-        raise ValueError("a face has no corners")
-    if b"/" in b"".join(corners):
-        parts = [corner.split(b"/") for corner in corners]
-        corners, places = [part[0] for part in parts], [part[1] if len(part) > 1 else b"" for part in parts]
-        if all(places):
-            _fill(content.corner_places, len(content.corners), _NO_PLACE)
-            _add_fan(content.corner_places, _from_the_start(list(map(int, places)), len(content.places) // 2))
-    _add_fan(content.corners, _from_the_start(list(map(int, corners)), len(content.positions) // 3))
-
-
-def _add_fan(triangles: array, polygon: Sequence[int]) -> None:
-    if len(polygon) == 3:
-        triangles.extend(polygon)
-        return
-    for following, last in zip(polygon[1:], polygon[2:], strict=False):
-        triangles.extend((polygon[0], following, last))
-
-
-def _from_the_start(indices: list[int], count: int) -> list[int]:
-    """The indices counted from 1, where there are `count` rows so far."""
-    least = min(indices)
-    if least == 0:
-        raise ValueError("a face has an index 0; OBJ counts from 1")
-    if least < -count:
-        raise ValueError(f"a face has an index {least}, but only {count} come before it")
-    return indices if least > 0 else [index if index > 0 else count + 1 + index for index in indices]
-
-
-def _fill(values: array, length: int, value: float) -> None:
-    values.extend([value] * (length - len(values)))
-
-
-def _rows(values: array, width: int) -> np.ndarray:
-    return np.frombuffer(values, values.typecode).reshape(-1, width) if values else np.empty((0, width))
-
-
-def _by_material(materials: Sequence[tuple[str, int]], count: int) -> dict[str, np.ndarray]:
-    """The rows of the triangles of each material that has some."""
-    ends = [*(start for _, start in materials[1:]), count]
-    runs: dict[str, list[np.ndarray]] = {}
-    for (name, start), end in zip(materials, ends, strict=True):
-        if end > start:
-            runs.setdefault(name, []).append(np.arange(start, end))
-    return {name: np.concatenate(rows) for name, rows in runs.items()}
-
-
-def _materials(libraries: Sequence[str], named: NamedFiles) -> dict[str, Material]:
-    """The materials of all files that are there, by name, and by name in lower case. A line may list several files."""
-    files: list[Path | None] = []
-    for library in libraries:
-        several = [] if named.has(library) else library.split()
-        files += [named.find(name) for name in (several if any(map(named.has, several)) else [library])]
-    materials: dict[str, Material] = {}
-    for file in files:
-        materials |= {} if file is None else read_materials(file)
-    return {name.lower(): material for name, material in materials.items()} | materials
-
-
-def _part(content: _Content, name: str, rows: np.ndarray, materials: dict[str, Material], named: NamedFiles) -> Part:
-    """The triangles `rows` of one material."""
-    vertices, faces = _rows(content.positions, 3), _rows(content.corners, 3)[rows] - 1
-    places, face_places = _rows(content.places, 2), _rows(content.corner_places, 3)
-    material = materials.get(name) or materials.get(name.lower())
-    if material is None and name and not content.colors and (materials or not content.libraries):
+    The materials `textured` have their pictures. Where vertices are `colored`, no material needs to be there.
+    """
+    libraries, used = re.findall(r"\nmtllib (.*)", text), set(re.findall(r"\nusemtl (.*)", text))
+    for library in libraries[1:]:
+        named.report_missing(library, "is not read after the first")
+    materials = named.text(libraries[0]) if libraries else ""
+    blocks = {block.split("\n")[0].strip(): block for block in re.split(r"(?i)(?:^|\n)\s*newmtl\s", materials)[1:]}
+    for name in sorted(used - blocks.keys()) if not colored and (materials or not libraries) else ():
         named.report_missing(name, "is in none of its files of materials")
-    texture = None
-    if material is not None and material.picture is not None:
-        if len(face_places):
-            texture = named.texture(material.picture)
-        else:
-            named.report_missing(material.picture, "has no places for its triangles")
-    color = Material.color if material is None else material.color
-    if material is not None and texture is not None:
-        places = np.concatenate([np.zeros((1, 2)), places * material.scale + material.origin]) * [1, -1] + [0, 1]
-        if material.is_clamped:
-            sides = texture.shape[1::-1]
-            places = np.stack([clamp_places(places[:, axis], sides[axis]) for axis in (0, 1)], axis=1)
-        vertices, faces, uvs = split_corners(vertices, faces, places, face_places[rows])
-        return Part(vertices, faces, np.full(vertices.shape, color, np.uint8), uvs, texture)
-    if content.colors:
-        return Part(vertices, faces, to_bytes(shares(_rows(content.colors, 3))))
-    return Part(vertices, faces, np.full(vertices.shape, color, np.uint8))
+    for name in sorted(blocks.keys() - set(textured)):
+        maps = re.findall(r"(?mi)^\s*map_k([dae])\s+(.*\S)", blocks[name])
+        for picture in [picture for _, picture in sorted(maps, key=lambda each: each[0] not in "dD")][:1]:
+            if name in used:
+                named.report_picture(picture)
+            elif not textured:
+                named.report_missing(picture, "belongs to a material of no triangle")
 
 
 def encode_obj(mesh: Mesh, _: Place) -> bytes:

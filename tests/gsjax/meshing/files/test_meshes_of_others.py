@@ -80,11 +80,13 @@ TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\
 @pytest.mark.parametrize(
     ("faces", "fault"),
     [
-        ("f 1 2 3\nf 1 2 3 0", "m.obj, line 10: a face has an index 0; OBJ counts from 1"),
-        ("f\t1/1\t2/00 3/3\r\n", "m.obj, line 9: a face has an index 0; OBJ counts from 1"),
-        ("f 1 2 -5\n", "m.obj, line 9: a face has an index -5, but only 4 come before it"),
-        ("f 1 2 3\nf\n", "m.obj, line 10: a face has no corners"),
-        ("f 1 2 -x\n", "m.obj, line 9: invalid literal"),
+        ("f 1 2 3\nf 1 2 3 0", "m.obj: 'f 1 2 3 0' is no face: three corners or more, counted from 1"),
+        ("f\t1/1\t2/00 3/3\r\n", "m.obj: 'f 1/1 2/00' is no face"),
+        ("f 1 2 -5\n", "m.obj: not readable as a mesh .*index -5 is out of bounds"),
+        ("f 1 2 3\nf\n", "m.obj: 'f' is no face"),
+        ("f 1/1 2/2 3/3\nf 1 2 3 4 1 2\n", "m.obj: lists faces of 5 triangles, of which 2 can be read"),
+        ("f 1 2 -x\n", "m.obj: not readable as a mesh .*string or file could not be read to its end"),
+        ("f -4 -3 -2\nv 5 5 5\nf -1 1 -2\n", "m.obj: has vertices behind faces that count from the last"),
     ],
 )
 def test_an_obj_with_an_index_that_is_none_is_refused(tmp_path, faces, fault):
@@ -97,7 +99,7 @@ def test_an_obj_with_an_index_that_is_none_is_refused(tmp_path, faces, fault):
     ("faces", "expected"),
     [
         ("f 1 2 3\n", [[0, 1, 2]]),
-        ("f -4 -3 -2 # -1\nv 5 5 5\nf -1 1 -2\n", [[0, 1, 2], [4, 0, 3]]),
+        ("f -4 -3 -2 # -1\n  f -1 1 -2\n", [[0, 1, 2], [3, 0, 2]]),
         ("# f 0 0 0\nf 1//1 2//1 3//1\n" + "v 9 9 9\n" * 6 + "f 10 1 2\n", [[0, 1, 2], [9, 0, 1]]),
     ],
 )
@@ -111,10 +113,13 @@ def test_indices_of_an_obj_are_those_of_the_format(tmp_path, faces, expected, ma
 
 
 @pytest.mark.parametrize("most", [1, 255])
-def test_colours_of_an_obj_are_shares_or_bytes_and_grey_where_there_are_none(tmp_path, most):
+def test_colours_of_an_obj_are_shares_or_bytes_and_grey_where_there_are_none(tmp_path, capsys, most):
     """Tabs, ends of lines of Windows and lines that go on change nothing."""
-    rows = [f"v 0 0 0 {most} 0 {most / 5:g}", f"v\t1 0 0\t0 {most} 0", "v 0 \\\r\n 1 0", "f\t1 2 3"]
+    rows = [f"v 0 0 0 {most} 0 {most / 5:g}", f"v\t1 0 0\t0 {most} 0", "v 0 \\\r\n 1 0 0 0 0", "f\t1 2 3"]
     (tmp_path / "m.obj").write_bytes("\r\n".join(rows).encode())
     mesh = read_mesh(tmp_path / "m.obj")
     np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    np.testing.assert_array_equal(mesh.colors, [[255, 0, 51], [0, 255, 0], [128, 128, 128]])
+    np.testing.assert_array_equal(mesh.colors, [[255, 0, 51], [0, 255, 0], [0, 0, 0]])
+    (tmp_path / "m.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3")
+    np.testing.assert_array_equal(read_mesh(tmp_path / "m.obj").colors, np.full((3, 3), 128))
+    assert "colours of vertices, which it names, are not those of all vertices" in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """One square of four colours, as other programs write it: read right, or in one line that says what is missing."""
 
-import math
 from io import BytesIO
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 from glb_chunks import glb_of
 from PIL import Image
 
+from gsjax.errors import InputError
 from gsjax.meshing import pictures
 from gsjax.meshing.export import read_mesh, read_textured
 
@@ -69,16 +69,11 @@ def obj(
         {"mtl": "newmtl m\nmap_Kd C:\\Users\\me\\textures\\tex.png\n", "picture": "textures/tex.png"},
         {"mtl": "newmtl m\nmap_Kd /home/me/tex.png\n"},
         {"mtl": 'newmtl m\nmap_Kd "tex.png"\n'},
-        {"mtl": "newmtl m\nmap_Kd -blendu on -mm 0 1 -bm 0.5 -clamp on my  tex.png\n", "picture": "my tex.png"},
-        {"mtl": "newmtl m\nmap_Kd -s 2 0.5 -o -1 tex.png\n", "uvs": (UVS + [1, 0]) / [2, 0.5]},
-        {"mtl": "newmtl m\nmap_Kd -clamp on tex.png\n", "uvs": 3 * UVS - 1},
         {"mtl": "newmtl m\nmap_Kd Tex.PNG\n"},
         {"mtl": "newmtl m\nmap_Kd my%20tex.png\n", "picture": "my tex.png"},
         {"mtl": "\tnewmtl m\r\n\tMap_Kd\ttex.png  \r\n"},
         {"mtl": "newmtl m\nKa 0\nKd 0 0 0\nmap_Ka gone.png\nmap_Kd tex.png\n"},
-        {"mtl": "newmtl m\nmap_Ka tex.png\n"},
-        {"mtl": "newmtl m\nKd 0 0 0\nKe 1 1 1\nmap_Ke tex.png\n"},
-        {"mtl": "\ufeffnewmtl M\nmap_Kd tex.png\n"},
+        {"mtl": "\ufeffnewmtl m\nmap_Kd tex.png\n"},
         {"mtl": "newmtl my mat\nmap_Kd tex.png\n", "head": "mtllib a.mtl\nusemtl my mat\n"},
         {"head": "mtllib C:\\scan\\a.mtl\nusemtl m\n"},
         {"head": "mtllib ./A.MTL\nusemtl m\n"},
@@ -89,23 +84,17 @@ def test_an_obj_of_another_program_shows_its_texture(tmp_path, capsys, change):
     assert not capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["t\u00e4x.png".encode("cp1252"), "t\u00e4x.png".encode(), b"ta\xcc\x88x.png"])
-def test_a_picture_with_an_accent_is_found_as_any_program_writes_it(tmp_path, capsys, name):
-    path = obj(tmp_path, picture="t\u00e4x.png")
-    (tmp_path / "a.mtl").write_bytes(b"newmtl m\nmap_Kd " + name + b"\n")
-    assert_four_colors(path)
-    assert not capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("change", "line"),
     [
         ({"head": "mtllib a.mtl\nusemtl other\n"}, "other, which it names, is in none of its files of materials"),
         ({"head": "mtllib a.mtl\n"}, "tex.png, which it names, belongs to a material of no triangle"),
         ({"mtl": "newmtl m\nmap_Kd gone.png\n"}, "gone.png, which it names, is not in its folder"),
-        ({"mtl": "newmtl m\nmap_Kd a.obj\n"}, "a.obj, which it names, is no picture that can be read"),
+        ({"mtl": "newmtl m\nmap_Kd a.obj\n"}, "a.obj, which it names, is not read as a picture of its triangles"),
+        ({"mtl": "newmtl m\nmap_Ke tex.png\n"}, "tex.png, which it names, is not read as a picture of its triangles"),
         ({"mtl": "newmtl m\nmap_Kd ../gone.png\n"}, "../gone.png, which it names, is not in its folder"),
-        ({"uvs": 1000 * UVS, "polygons": [(0, 4, 24), (0, 24, 20)]}, "too often to be laid out"),
+        ({"mtl": "newmtl m\nmap_Kd -s 2 2 tex.png\n"}, "-s 2 2 tex.png, which it names, has options that are not read"),
+        ({"head": "mtllib a.mtl\nmtllib b.mtl\nusemtl m\n"}, "b.mtl, which it names, is not read after the first"),
     ],
 )
 def test_an_obj_names_the_colours_that_it_does_not_give(tmp_path, capsys, change, line):
@@ -114,40 +103,45 @@ def test_an_obj_names_the_colours_that_it_does_not_give(tmp_path, capsys, change
     assert len(messages) == 1 and messages[0].endswith("the colours that it would give are missing")
 
 
-@pytest.mark.parametrize(("shift", "repeats"), [(0, 1), (-3, 3)])
-def test_several_textures_become_one(tmp_path, shift, repeats):
-    """The halves of the square in pictures of their own, of different sizes; places of a triangle may span tiles."""
-    for name, half in (("l", TEXTURE[:, :8]), ("r", np.repeat(TEXTURE[:, 8:], 2, axis=0))):
-        Image.fromarray(half).save(tmp_path / f"{name}.png")
-    (tmp_path / "a.mtl").write_text("newmtl l\nmap_Kd l.png\nnewmtl r\nmap_Kd r.png\n")
-    lines, used = ["mtllib a.mtl", *("v {} {} {}".format(*vertex) for vertex in VERTICES)], 0
-    for name, start in (("l", 0.0), ("r", 0.5)):
-        lines.append(f"usemtl {name}")
-        for face in FACES[np.isclose(VERTICES[FACES, 0].mean(axis=1) > 0.5, start > 0)]:
-            lines += [f"vt {repeats * 2 * (VERTICES[k, 0] - start) + shift} {VERTICES[k, 1] - shift}" for k in face]
-            used += 3
-            lines.append("f " + " ".join(f"{k + 1}/{used - 2 + i}" for i, k in enumerate(face)))
-    (tmp_path / "a.obj").write_text("\n".join(lines))
-    assert_four_colors(tmp_path / "a.obj")
+def several(folder):
+    """The halves of the square in pictures of their own, and a triangle of one colour."""
+    for name, half in (("l", TEXTURE[:, :8]), ("r", TEXTURE[:, 8:])):
+        Image.fromarray(half).save(folder / f"{name}.png")
+    materials = "newmtl l\nmap_Kd l.png\nnewmtl r\nmap_Kd r.png\nnewmtl plain\nKd 0 0.2 1\n"
+    is_right = VERTICES[FACES, 0].mean(axis=1) > 0.5
+    path = obj(folder, uvs=UVS * [2, 1], mtl=materials, head="mtllib a.mtl\n", polygons=FACES[np.argsort(is_right)])
+    lines = path.read_text().splitlines()
+    lines[-len(FACES) : -len(FACES)] = ["usemtl l"]
+    lines[-len(FACES) // 2 : -len(FACES) // 2] = ["usemtl r"]
+    path.write_text("\n".join([*lines, "v 5 5 0", "v 6 5 0", "v 5 6 0", "usemtl plain", "f 26 27 28"]))
+    return path
 
 
-def test_a_part_of_one_colour_does_not_cost_the_others_their_texture(tmp_path):
-    head, lines = obj(tmp_path).read_text().split("f ", 1)
-    (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd tex.png\nnewmtl plain\nKd 0 0.2 1\n")
-    (tmp_path / "a.obj").write_text(head + "f " + lines + "v 5 5 0\nv 6 5 0\nv 5 6 0\nusemtl plain\nf -3 -2 -1\n")
-    assert_four_colors(tmp_path / "a.obj")
-    mesh = read_mesh(tmp_path / "a.obj")
-    np.testing.assert_array_equal(mesh.colors[mesh.vertices[:, 0] >= 5], [(0, 51, 255)] * 3)
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        (several, "only a mesh with one texture keeps it"),
+        (lambda folder: obj(folder, uvs=UVS * [3, 1]), "its texture repeats"),
+    ],
+)
+def test_what_is_not_one_texture_becomes_colours_of_vertices(tmp_path, capsys, file, line):
+    path = file(tmp_path)
+    mesh = read_mesh(path)
+    assert read_textured(path) is None
+    for color, corner in CORNERS.items():
+        at_corner = (np.abs(mesh.vertices[:, :2] - corner) < 1e-6).all(axis=1)
+        np.testing.assert_array_equal(mesh.colors[at_corner], [color] * at_corner.sum())
+    assert (mesh.colors[mesh.vertices[:, 0] >= 5] == (0, 51, 255)).all()
+    assert capsys.readouterr().err.count(f"{line}; it is read with colours of vertices") == 1
 
 
-def glb(folder, *, uvs=UVS, kind="<f4", name="TEXCOORD_0", beside=None, info=None, material=None, mime="image/png",
+def glb(folder, *, uvs=UVS, kind="<f4", info=None, material=None, mime="image/png",
         mode=4, indices=FACES, sampler=None, node=None, color=None, **tree):  # fmt: skip
     """A GLB by hand: its places count from above."""
     picture = BytesIO()
     Image.fromarray(TEXTURE).save(picture, "WEBP" if mime == "image/webp" else "PNG", lossless=True)
     stored, most = np.asarray(uvs) * [1, -1] + [0, 1], 1 if kind == "<f4" else np.iinfo(kind).max
-    columns = {"POSITION": (VERTICES, "<f4"), name: (np.rint(stored * most) if most > 1 else stored, kind)}
-    columns |= {} if beside is None else {"TEXCOORD_0": (beside, "<f4")}
+    columns = {"POSITION": (VERTICES, "<f4"), "TEXCOORD_0": (np.rint(stored * most) if most > 1 else stored, kind)}
     columns |= {} if color is None else {"COLOR_0": (np.tile(color, (len(VERTICES), 1)), "<f4")}
     components = {"<f4": 5126, "u1": 5121, "<u2": 5123}
     blob, views, accessors = b"", [], []
@@ -180,10 +174,6 @@ def glb(folder, *, uvs=UVS, kind="<f4", name="TEXCOORD_0", beside=None, info=Non
     return folder / "a.glb"
 
 
-def transform(**values):
-    return {"extensions": {"KHR_texture_transform": values}}
-
-
 BASE = {"index": 0}
 GLOSSY = {"extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": BASE}}}
 BLACK = {"baseColorFactor": [0, 0, 0, 1]}
@@ -197,23 +187,12 @@ STRIPS = [k for row in range(SIDE - 1) for k in (*ENDS[row], *STRIP[2 * SIDE * r
     [
         {},
         {"uvs": UVS + [1, -2]},
-        {"kind": "u1"},
-        {"kind": "<u2", "extensionsRequired": ["KHR_mesh_quantization"]},
-        {"name": "TEXCOORD_1", "info": {"texCoord": 1}, "beside": UVS[:, ::-1] * 0.1},
-        {"name": "TEXCOORD_1", "info": {"texCoord": 0, **transform(texCoord=1)}, "beside": UVS[:, ::-1] * 0.1},
-        {"uvs": UVS - 0.5, "info": transform(offset=[0.5, -0.5]), "extensionsRequired": ["KHR_texture_transform"]},
-        {"uvs": np.stack([Y - 1, 1 - X], 1), "info": transform(rotation=math.pi / 2)},  # counter-clockwise
-        {"uvs": UVS * 2 + [0, -1], "info": transform(scale=[0.5, 0.5])},
-        {"material": {**GLOSSY, "pbrMetallicRoughness": BLACK}},
         {"material": {"emissiveFactor": [1, 1, 1], "emissiveTexture": BASE, "pbrMetallicRoughness": BLACK}},
         {"material": {"emissiveFactor": [1, 1, 1], "emissiveTexture": BASE}},
         {"mime": "image/webp", "textures": [{"extensions": {"EXT_texture_webp": {"source": 0}}}]},
         {"node": {"scale": [-1, 1, 1], "translation": [1, 0, 0]}, "uvs": UVS * [-1, 1] + [1, 0]},
         {"mode": 5, "indices": STRIPS},
-        {"mode": 6, "indices": [12, *range(5), 9, 14, 19, *range(24, 19, -1), 15, 10, 5, 0]},
-        {"sampler": {"wrapS": 33648, "wrapT": 33648}, "uvs": [2, 0] - UVS * [1, -1]},  # mirrored in its second tile
-        {"sampler": {"wrapS": 33071, "wrapT": 33071}, "uvs": 3 * UVS - 1},
-        {"sampler": {"wrapS": 33071}, "uvs": UVS * [3, 1] + [-1, 1]},  # repeated downwards alone
+        {"sampler": {"wrapS": 33071, "wrapT": 33071}},
         {"color": [1.0, 1.0, 1.0]},
     ],
 )  # fmt: skip
@@ -223,14 +202,30 @@ def test_a_glb_of_another_program_shows_its_texture(tmp_path, capsys, change):
 
 
 @pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"kind": "u1"}, "places in integers"),
+        ({"kind": "<u2", "extensionsRequired": ["KHR_mesh_quantization"]}, "KHR_mesh_quantization"),
+        ({"info": {"texCoord": 1}}, "TEXCOORD_1"),
+        ({"info": {"extensions": {"KHR_texture_transform": {}}}}, "KHR_texture_transform"),
+        ({"material": {**GLOSSY, "pbrMetallicRoughness": BLACK}}, "KHR_materials_pbrSpecularGlossiness"),
+        ({"mode": 6}, "a fan of triangles"),
+        ({"sampler": {"wrapS": 33071}, "uvs": 3 * UVS - 1}, "shows a texture beyond its border"),
+        ({"nodes": [{"camera": 0, "children": [1]}, {"mesh": 0}]}, "a camera that holds a mesh"),
+    ],
+)  # fmt: skip
+def test_a_glb_that_trimesh_would_read_wrong_is_refused(tmp_path, change, fault):
+    with pytest.raises(InputError, match=f"a.glb: .*{fault}.*, which is not read"):
+        read_mesh(glb(tmp_path, **change))
+
+
+@pytest.mark.parametrize(
     ("change", "line"),
     [
         ({"color": [0.5, 1.0, 1.0]}, "COLOR_0, which it names, is not multiplied with its texture"),
         ({"textures": [{"extensions": {"KHR_texture_basisu": {"source": 0}}}], "images": [{"uri": "gone.ktx2"}]},
-         "gone.ktx2, which it names, is not in its folder"),
-        ({"images": [{"uri": "data:image/ktx2;base64,AAAA"}]}, "texture 0, which it names, is no picture"),
-        ({"textures": [{}]}, "texture 0, which it names, has no picture"),
-        ({"materials": [{}, {"pbrMetallicRoughness": {"baseColorTexture": BASE}}]}, "a material of no triangle"),
+         "texture 0, which it names, is no picture"),
+        ({"textures": [{}]}, "texture 0, which it names, is no picture"),
     ],
 )  # fmt: skip
 def test_a_glb_names_the_colours_that_it_does_not_give(tmp_path, capsys, change, line):
