@@ -100,7 +100,7 @@ def test_a_training_step_of_all_terms_and_effects_and_the_densification_after_it
     step = make_train_step(OPTIMIZER, terms, effects=effects, depth_mode="front", **how)
     state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, DENSIFICATION_RULES["error"], effects)
     maps = {"normals": np.full((24, 32, 3), 40, np.int8), "depth": np.full((24, 32), 2, np.float32)}
-    here = batches.replace(target[0], beside=target[1], trust=np.full((24, 32), 255, np.uint8), **maps)
+    here = batches.replace(target[0], neighbor=target[1], trust=np.full((24, 32), 255, np.uint8), **maps)
     here = batches.replace(here, sky=np.ones((24, 32), bool))
     assert not rough_products(step, state, here, jax.random.key(0))
     for rule in DENSIFICATION_RULES:

@@ -113,7 +113,7 @@ def trained(weights):
         size,
         state,
         optimizer,
-        prior=lambda state: [],
+        normal_source=lambda state: [],
         observe=lambda progress: psnrs.append(float(progress.metrics.psnr)),
         terms=own,
     )

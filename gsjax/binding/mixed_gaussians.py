@@ -49,17 +49,17 @@ def with_free(bound: BoundGaussians, free: Gaussians) -> MixedGaussians:
 
 
 @drawable.register
-def _(hybrid: MixedGaussians) -> Drawable:
-    bound = drawable(hybrid.bound)
-    if hybrid.free is None:
+def _(mixed: MixedGaussians) -> Drawable:
+    bound = drawable(mixed.bound)
+    if mixed.free is None:
         return bound
-    free = replace(drawable(hybrid.free), quats=None, scales=None, covars=covariances(hybrid.free))
+    free = replace(drawable(mixed.free), quats=None, scales=None, covars=covariances(mixed.free))
     return jax.tree.map(lambda *both: jnp.concatenate(both), bound, free)
 
 
-def all_gaussians(hybrid: MixedGaussians) -> Gaussians:
+def all_gaussians(mixed: MixedGaussians) -> Gaussians:
     """The same Gaussians without their mesh, numpy, see `gsjax.binding.bound.to_gaussians`; then the free ones."""
-    bound = to_gaussians(hybrid.bound)
-    if hybrid.free is None:
+    bound = to_gaussians(mixed.bound)
+    if mixed.free is None:
         return bound
-    return jax.tree.map(lambda *both: np.concatenate(both), bound, hybrid.free)
+    return jax.tree.map(lambda *both: np.concatenate(both), bound, mixed.free)

@@ -36,5 +36,5 @@ def run(source: str, out: str, **options: Any) -> dict[str, Any]:
         print(f"{out}: {figures['clipped']} of {figures['gaussians']} Gaussians hold values beyond what the format"
             " reaches without taking precision from the others; they were clipped", file=sys.stderr)  # fmt: skip
     if figures["stored_at"]:
-        print(f"{out}: holds {figures['stored_at']}, as {out}.similarity.json beside it tells", file=sys.stderr)
+        print(f"{out}: stores {figures['stored_at']}; {out}.similarity.json has the similarity", file=sys.stderr)
     return figures

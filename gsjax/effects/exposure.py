@@ -56,7 +56,7 @@ def judge(findings: "Findings") -> Evidence:
     """On where photos differ by more than noise, alike all over the scene, and gains predict unseen points."""
     observations, gains = findings.observations, findings.gains
     if gains is None:
-        why = "no point is seen in three photos" if observations.tracked else "no tracks beside these photos"
+        why = "no point is seen in three photos" if observations.tracked else "these photos have no tracks"
         return unknown("EV", THRESHOLD, why)
     has_gain = np.bincount(gains.data.photo, minlength=len(observations.frames)) > 0
     values = gains.fit.gains[has_gain]

@@ -111,7 +111,7 @@ def _suffix(folder: Path) -> str | None:
     counts = {suffix: _count_images(folder, suffix) for suffix in whole}
     best, other = sorted(whole, key=lambda suffix: -counts[suffix])
     if counts[best] > counts[other]:
-        line = f"{folder}/images{best} with {counts[best]} photos is taken; images{other} beside it has {counts[other]}"
+        line = f"{folder}/images{best} with {counts[best]} photos is read; images{other} has {counts[other]}"
         print_once(f"COLMAP: {line}")
     return best
 

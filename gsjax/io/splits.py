@@ -1,6 +1,6 @@
 """Which photos are held out for scoring: the data set's own split, every N-th, those of a list, or none.
 
-Files of one shot (`gsjax.io.duplicate_photos`) are held out, or trained on, together.
+Duplicates (`gsjax.io.duplicate_photos`) are held out, or trained on, together.
 """
 
 import difflib
@@ -22,16 +22,16 @@ OWN_LIST = "hold_out.txt"  # In a data set's folder: its own split.
 
 
 def mark_held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> list[Photo]:
-    """Marks the photos that are held out.
+    """Mark the photos that are held out.
 
-    Files that show the same shot are on one side: a shot is held out with all of its files. Where a list or the data
-    set's own split names one of them, the others are held out as well, and a line on stderr names them.
+    A photo and its duplicates are one group, which is held out or trained on as a whole. If a list or the data set's
+    own split names one of them, the others are held out as well, and a line on stderr names them.
 
     Args:
         photos: Sorted by name.
-        hold_out: A number N: every N-th shot, starting with the first (of N shots, the first of those with the fewest
-            files); "none"; a text file of names, one a line, where blank lines and lines that begin with # do not
-            count; "auto": the layout's own split, else the names in `root`/hold_out.txt, else every 8th.
+        hold_out: A number N: every N-th group, starting with the first (of N groups, the first of those with the
+            fewest files); "none"; a text file of names, one a line, where blank lines and lines that begin with # are
+            ignored; "auto": the layout's own split, else the names in `root`/hold_out.txt, else every 8th.
         root: Folder of the data set.
 
     Raises:
@@ -41,26 +41,26 @@ def mark_held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> list[Ph
         return [replace(photo, held_out=False) for photo in photos]
     stated_split = _stated_split(photos, hold_out, root)
     names = [photo.name for photo in photos]
-    shots = [[names[index] for index in shot] for shot in group_duplicates([photo.path for photo in photos])]
+    groups = [[names[index] for index in rows] for rows in group_duplicates([photo.path for photo in photos])]
     if isinstance(stated_split, int):
-        stretches = [shots[first : first + stated_split] for first in range(0, len(shots), stated_split)]
+        stretches = [groups[first : first + stated_split] for first in range(0, len(groups), stated_split)]
         held_out = {name for stretch in stretches for name in min(stretch, key=len)}
     else:
-        held_out = _with_copies(stated_split, shots, root)
+        held_out = _with_copies(stated_split, groups, root)
     return [replace(photo, held_out=photo.name in held_out) for photo in photos]
 
 
-def _with_copies(names: set[str], shots: Sequence[Sequence[str]], root: Path) -> set[str]:
-    """The stated names and those of other files of the same shots."""
-    held_out = {name for shot in shots if not names.isdisjoint(shot) for name in shot}
+def _with_copies(names: set[str], groups: Sequence[Sequence[str]], root: Path) -> set[str]:
+    """Return the stated names and those of their duplicates."""
+    held_out = {name for group in groups if not names.isdisjoint(group) for name in group}
     if copies := sorted(held_out - names):
-        reason = "held out as well, as they show the same shots as held-out photos"
+        reason = "held out as well, as duplicates of held-out photos"
         print_once(f"{root}: {reason}: {first_names(copies)}")
     return held_out
 
 
 def _stated_split(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str] | int:
-    """The names that are stated, or N for every N-th shot."""
+    """Return the stated names, or N for every N-th group."""
     names = [photo.name for photo in photos]
     if hold_out == AUTO:
         own = {photo.name for photo in photos if photo.held_out}

@@ -77,8 +77,8 @@ class MethodOptions:
         return PoissonOptions(self.depth, trim)
 
     @property
-    def of_a_trial(self) -> MethodOptions:
-        """The same with a tenth of the points, but no fewer than `FEWEST_TRIED` where there are as many."""
+    def for_comparison(self) -> MethodOptions:
+        """The options of a comparison of methods: a tenth of the points, at least `FEWEST_TRIED` if so many exist."""
         points = self.sampling.num_points
         return replace(self, points=max(points // 10, min(points, FEWEST_TRIED)))
 

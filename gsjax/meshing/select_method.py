@@ -34,10 +34,10 @@ def evidence_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
     if len(lines) >= FEWEST_LINES:
         says = f"{len(lines):,} lines of sight to matched points"
         return Witness(says, lambda mesh: track_visibility(mesh, lines)._asdict(), 0.04)
-    outlines = () if boxes else silhouettes_of(scene)
-    if not outlines:
+    silhouettes = () if boxes else silhouettes_of(scene)
+    if not silhouettes:
         return None
-    return Witness(f"its outline in {len(outlines)} photos", lambda mesh: overlap(mesh, outlines)._asdict(), 0.02)
+    return Witness(f"its outline in {len(silhouettes)} photos", lambda mesh: overlap(mesh, silhouettes)._asdict(), 0.02)
 
 
 class Selection(NamedTuple):

@@ -1,4 +1,4 @@
-"""What the mattes of photos say of a mesh: the outline of an object is seen, whatever its colours are.
+"""The silhouettes of an object in the mattes of photos, and how a mesh overlaps them.
 
 A mesh that is too fat reaches beyond the mattes, one that has lost a rod leaves it bare. Hollows do not show in them.
 """
@@ -44,7 +44,7 @@ def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
         InputError: A photo cannot be read.
     """
     count = min(len(scene.frames), MOST_PHOTOS)
-    outlines = []
+    silhouettes = []
     for index in np.linspace(0, len(scene.frames) - 1, count).astype(int):
         frame = scene.frames[index]
         _, matte, valid = frame.pixels()
@@ -57,14 +57,14 @@ def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
         K[:2, 2] -= every // 2 + 0.5 - every / 2
         K = np.diag([1 / every, 1 / every, 1]) @ K
         usable = np.ones_like(matte[grid], bool) if valid is None else valid[grid] > 127
-        outlines.append(Silhouette(frame.viewmat, K, matte[grid] > IS_OBJECT, usable))
-    return tuple(outlines)
+        silhouettes.append(Silhouette(frame.viewmat, K, matte[grid] > IS_OBJECT, usable))
+    return tuple(silhouettes)
 
 
-def overlap(mesh: Mesh, outlines: Sequence[Silhouette]) -> Overlap:
+def overlap(mesh: Mesh, silhouettes: Sequence[Silhouette]) -> Overlap:
     """How the outlines of a mesh, in the scene's coordinates, cover those of the object, one at least."""
     cast, counts = ray_caster(mesh), np.zeros(3, np.int64)
-    for viewmat, K, is_object, usable in outlines:
+    for viewmat, K, is_object, usable in silhouettes:
         height, width = is_object.shape
         is_covered = depth_of_mesh(mesh, viewmat, K, width, height, cast=cast) > 0
         counts += [

@@ -165,8 +165,8 @@ def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshView
     if witness is None:
         return Selection(USUAL, {})
     ids = views.spread(max(len(views.ids) // 10, FEWEST_TRIED))
-    trial = partial(_extract, request=request._replace(options=request.options.of_a_trial), views=views, ids=ids)
-    selection = select_method({name: lambda m=m: trial(m)[0] for name, m in methods.items()}, witness)
+    extract = partial(_extract, request=request._replace(options=request.options.for_comparison), views=views, ids=ids)
+    selection = select_method({name: lambda m=m: extract(m)[0] for name, m in methods.items()}, witness)
     print(f"mesh: {selection.method}, by {witness.says}", file=sys.stderr)
     print(tables.compare(selection.judgements), file=sys.stderr)
     return selection

@@ -256,10 +256,10 @@ def _free_rows(task: _Task) -> np.ndarray:
     return free
 
 
-def _write(task: _Task, folder: Path, hybrid: MixedGaussians, summary: dict[str, Any]) -> dict[str, Any]:
+def _write(task: _Task, folder: Path, mixed: MixedGaussians, summary: dict[str, Any]) -> dict[str, Any]:
     """Write mesh, Gaussians and scores; return the report."""
     scene, effects = task.scene, task.trained.photo_effects
-    refined, gaussians = to_mesh(hybrid.bound), all_gaussians(hybrid)
+    refined, gaussians = to_mesh(mixed.bound), all_gaussians(mixed)
     for name in ("mesh.ply", "mesh.glb"):
         write_mesh(folder / name, scene.similarity.mesh_to_world(refined), scene.place)
     world = scene.similarity.gaussians_to_world(gaussians)
@@ -275,7 +275,7 @@ def _write(task: _Task, folder: Path, hybrid: MixedGaussians, summary: dict[str,
         depth_mode=DEPTH_OF_DISCS,
         observe=picture_keeper(folder),
     )
-    counts = {"gaussians": hybrid.num_gaussians, "bound": hybrid.bound.num_gaussians, "free": hybrid.num_free}
+    counts = {"gaussians": mixed.num_gaussians, "bound": mixed.bound.num_gaussians, "free": mixed.num_free}
     report = {**scores, "vertices": refined.num_vertices, "faces": refined.num_faces, **counts, **summary}
     json_files.write(folder / "report.json", report)
     runs.update_manifest(folder, status="done", peak_gib=round(peak_memory() / 2**30, 2), **report)

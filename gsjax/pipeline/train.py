@@ -21,9 +21,9 @@ from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.metrics.photos import score_images
 from gsjax.pipeline.training_journal import TrainingJournal
-from gsjax.planning.earlier_runs import shared_steps, take_normals
-from gsjax.planning.preparation import Asked, Loaded, Prepared, ask, load, prepare, report
+from gsjax.planning.preparation import Loaded, Prepared, RunRequest, load, plan_run, prepare, report
 from gsjax.planning.start import first_state
+from gsjax.planning.warm_start import copy_normals, shared_steps
 from gsjax.rendering.engine import computes_on_cpu
 from gsjax.report.page import report_if_installed
 from gsjax.report.view_pictures import keep_skies, picture_keeper
@@ -95,7 +95,7 @@ def train(
     rasterizer.prepare()
     with own_folder(out) as folder:
         pieces = terms, densification, effects
-        request = ask(scene, folder, settings, *pieces, resume=resume, warm_start=warm_start, devices=devices)
+        request = plan_run(scene, folder, settings, *pieces, resume=resume, warm_start=warm_start, devices=devices)
         loaded = load(request)
         prepared = prepare(request, loaded)
         planned = replace(prepared.plan.with_effects(prepared.effects.names), downscale=loaded.downscale)
@@ -109,7 +109,7 @@ def train(
             return _write(run, prepared, planned, state, seconds)
 
 
-def _open_run(request: Asked, loaded: Loaded, planned: Plan) -> Path:
+def _open_run(request: RunRequest, loaded: Loaded, planned: Plan) -> Path:
     settings = config.to_dict(request.settings)
     if request.resumed:
         return runs.reopen(request.out, settings, scene=request.scene)
@@ -127,7 +127,7 @@ def _open_run(request: Asked, loaded: Loaded, planned: Plan) -> Path:
 
 def _fit(
     run: Path,
-    request: Asked,
+    request: RunRequest,
     prepared: Prepared,
     planned: Plan,
     steps_in_common: int | None,  # with the run of a warm start
@@ -142,7 +142,7 @@ def _fit(
     initial = partial(first_state, prepared.start, model, planned.rule, optimizer, effects.effects, skies=effects.skies)
     state, capacity, seconds = starting_point(run, initial, request.warm_start, steps_in_common)
     if request.warm_start is not None:
-        take_normals(request.warm_start, run, planned, int(state.step))
+        copy_normals(request.warm_start, run, planned, int(state.step))
     state = _of_first(state, initial)
     whole = (lambda state: state) if mesh is None else jax.device_get
     with TrainingJournal(run, planned, prepared.scene, int(state.step), seconds, effects, whole) as journal:
@@ -179,7 +179,7 @@ def _work(
         frames,
         prepared.extent,
         optimizer,
-        prior=normals,
+        normal_source=normals,
         observe=note,
         effects=effects.effects,
         mesh=mesh,

@@ -131,7 +131,7 @@ def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
         frames,
         size,
         optimizer,
-        prior=lambda _: maps(-NORMAL_UNIT / math.sqrt(3), np.int8, 1, 3),  # all face the camera
+        normal_source=lambda _: maps(-NORMAL_UNIT / math.sqrt(3), np.int8, 1, 3),  # all face the camera
         observe=lambda _: moments.append(time.perf_counter()),
         depths=lambda scale: zip(maps(1, np.float32, scale), maps(255, np.uint8, scale), strict=True),
     )

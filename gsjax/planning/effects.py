@@ -38,31 +38,31 @@ def diagnose_scene(scene: Scene) -> Diagnosis:
     return look(scene, progress=lambda frames: tqdm(list(frames), desc="diagnose", unit="photo", leave=False))
 
 
-class Looked(NamedTuple):
-    """A data set without the photos that are too blurred to be trained on."""
+class Inspection(NamedTuple):
+    """A data set without the photos that are too blurred for training."""
 
     scene: Scene
     diagnosis: Diagnosis | None = None  # of its photos; None: none was made
     left_out: tuple[str, ...] = ()  # names
 
 
-def look_for_effects(request: str, scene: Scene) -> Looked:
-    """The data set as the run trains on it, and what its photos show if the run asks; one line says what was left out.
+def inspect_photos(request: str, scene: Scene) -> Inspection:
+    """Leave too blurred photos out of the data set and report them, and diagnose the photos, unless effects are "none".
 
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
     if request == NONE:
-        return Looked(scene)
+        return Inspection(scene)
     findings = diagnose_scene(scene)
-    is_asked = request == AUTO or "blur" in named_effects(request)
-    names = blur.photos_to_leave_out(findings.observations) if is_asked else ()
+    is_requested = request == AUTO or "blur" in named_effects(request)
+    names = blur.photos_to_leave_out(findings.observations) if is_requested else ()
     if not names:
-        return Looked(scene, findings)
+        return Inspection(scene, findings)
     print(f"train: too blurred, left out: {', '.join(names)}", file=sys.stderr)
     sharp = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in names))
     again = diagnose_scene(sharp)
-    return Looked(sharp, replace(again, effects=again.effects | {"blur": findings.effects["blur"]}), names)
+    return Inspection(sharp, replace(again, effects=again.effects | {"blur": findings.effects["blur"]}), names)
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class ChosenEffects:
 
     effects: Effects = field(default_factory=dict)
     initial: Start | None = None  # None: of no effects
-    evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
+    evidence: dict[str, Any] | None = None  # for the manifest; None: the photos were not diagnosed
     skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the run knows of one
 
     @property
@@ -107,7 +107,7 @@ def choose_effects(
     plan: Plan,
     scene: Scene,
     validate: Validate | None = None,
-    inspection: Looked | None = None,
+    inspection: Inspection | None = None,
     *,
     skies: sky.Masks | None = None,
     with_sky: bool = False,
@@ -121,8 +121,8 @@ def choose_effects(
         scene: Its data set, at the size that is trained on.
         validate: Validates, of "auto", what the evidence proposes. None, or a run too short for it: exposure and poses
             alone are simulated, on strong evidence.
-        inspection: Of `look_for_effects`, if it was called.
-        skies: Where photos show sky, if masks of it were given; they bring a background.
+        inspection: Of `inspect_photos`, if it was called.
+        skies: Where photos show sky, if masks of it were given; they enable a background.
         with_sky: Whether a sky must be there, whatever `request` names.
         before: The manifest's record of what was decided when this run began; nothing is validated again.
 
@@ -131,7 +131,7 @@ def choose_effects(
     """
     if request == NONE and skies is None and not with_sky:
         return ChosenEffects()
-    inspection = inspection or look_for_effects(request, scene)
+    inspection = inspection or inspect_photos(request, scene)
     scene, findings = inspection.scene, inspection.diagnosis or diagnose_scene(inspection.scene)
     if skies is not None:
         findings = _with_given(findings, skies)

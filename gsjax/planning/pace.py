@@ -5,11 +5,11 @@ import time
 from gsjax.training.plan import Plan, PlannedPhase
 
 COSTS = {"depth": 0.3, "axes": 0.3, "gaussians": 0.7, "neighbor": 1.5}
-"""What each of the needs of its terms adds to a dear step, in units of a step of the image alone
+"""What each of the needs of its terms adds to a step with surface terms, in units of a step of the image alone
 (experiments/results/price_on_photos.md, "Where a price would come from"); with Gaussians, the SDF gradient at them."""
 
 FIXED_COST = 0.35  # Of a step at full size, what does not shrink with the photos: the Gaussians' own part.
-UNTIMED, TIMED = 4, 16  # Steps of a phase: the first ones compile (the dear ones of `fast` too), the next are timed.
+UNTIMED, TIMED = 4, 16  # Steps of a phase: the first ones compile (all kinds of `fast`), the next are timed.
 
 
 class Pace:
@@ -33,11 +33,11 @@ class Pace:
 
 def relative_cost(phase: PlannedPhase) -> float:
     """A step of a phase, on average, in units of a step of the image alone at full size."""
-    plain = image_cost(phase.scale)
-    if not any(each.is_dear for each in phase.terms):
-        return plain
-    dear = image_cost(phase.scale * phase.surface_scale) * (1 + sum(COSTS.get(need, 0.0) for need in phase.needs))
-    return plain + (dear - plain) / phase.surface_every
+    image = image_cost(phase.scale)
+    if not any(each.is_surface for each in phase.terms):
+        return image
+    surface = image_cost(phase.scale * phase.surface_scale) * (1 + sum(COSTS.get(need, 0.0) for need in phase.needs))
+    return image + (surface - image) / phase.surface_every
 
 
 def image_cost(scale: int) -> float:

@@ -1,4 +1,4 @@
-"""What a training is to do, its data set, and what its steps read: photos, priors and effects."""
+"""The request for a training run, its data set, and the photos, maps and effects that its steps read."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -15,16 +15,16 @@ from gsjax import runs
 from gsjax.effects.simulation import Effects
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
-from gsjax.planning import sparse_view_trial
+from gsjax.planning import sparse_view_validation
 from gsjax.planning.depth_supervision import measured_depth, stereo_supervision
-from gsjax.planning.earlier_runs import pieces_record, require_pieces
 from gsjax.planning.effect_validation import EffectValidation
-from gsjax.planning.effects import ChosenEffects, Looked, choose_effects, look_for_effects
+from gsjax.planning.effects import ChosenEffects, Inspection, choose_effects, inspect_photos
 from gsjax.planning.memory import Fitted, fit_to_memory
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.sparse_views import ENTRY, Decision, Gain, for_sparse_views
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
+from gsjax.planning.warm_start import pieces_record, require_pieces
 from gsjax.rendering.engine import engine_here
 from gsjax.runs.normal_source import NormalSource, note_normals
 from gsjax.runs.processes import is_first, same_everywhere
@@ -42,15 +42,15 @@ from gsjax.training.terms import Term
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What a run is to do, and the run that it continues."""
+class RunRequest:
+    """The request for a run, and the run that it continues."""
 
     scene: str | Path
     out: Path
     settings: Settings
     plan: Plan  # before any photo is inspected
-    effects: Effects  # that are handed in
-    pieces: dict[str, Any]  # record of all that is handed in
+    effects: Effects  # the user's own
+    pieces: dict[str, Any]  # record of the user's own terms, effects and rule
     resumed: Run | None  # the run in `out`
     warm_start: Path | None
     origin: Run | None  # in whose coordinates training starts: `resumed`, or that of the warm start
@@ -66,7 +66,7 @@ class Asked:
         return self.origin and self.origin.manifest.get(entry)
 
 
-def ask(
+def plan_run(
     scene: str | Path,
     out: Path,
     settings: Settings,
@@ -77,8 +77,8 @@ def ask(
     resume: bool,
     warm_start: Path | None,
     devices: Devices,
-) -> Asked:
-    """Plan a run by its settings, and by what a resumed run found out when it began.
+) -> RunRequest:
+    """Plan a run by its settings, and by the decisions that a resumed run made at its start.
 
     Raises:
         InputError: The folder is not free or holds no run to resume, or a weight, a term or the devices cannot be used.
@@ -98,7 +98,7 @@ def ask(
         normals = resumed.plan["normals"] if resumed else normal_folders.find(scene, settings.supervision.normals)
         planned = replace(planned, normals=normals)
     origin = resumed or (None if warm_start is None else Run(warm_start))
-    return Asked(scene, out, settings, planned, effects, pieces, resumed, warm_start, origin, mesh)
+    return RunRequest(scene, out, settings, planned, effects, pieces, resumed, warm_start, origin, mesh)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class Loaded:
     split: Split
 
 
-def load(request: Asked) -> Loaded:
+def load(request: RunRequest) -> Loaded:
     """Read the data set, and try the run's own terms on the sizes of its photos."""
     downscale = request.resumed and request.resumed.plan["downscale"]
     scene, downscale, line = at_size(
@@ -126,7 +126,7 @@ def load(request: Asked) -> Loaded:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What the steps read: photos, priors and effects."""
+    """The photos, maps and effects that the steps read."""
 
     scene: Scene  # its photos in memory or on the disk, without the blurred ones
     start: Scene  # from whose points the Gaussians start
@@ -140,13 +140,13 @@ class Prepared:
     notes: dict[str, Any]  # entries of the manifest
 
 
-def prepare(request: Asked, loaded: Loaded) -> Prepared:
-    """Read photos and priors, as far as memory allows, and choose the effects."""
+def prepare(request: RunRequest, loaded: Loaded) -> Prepared:
+    """Read photos and maps, as far as memory allows, and choose the effects."""
     settings, maps = request.settings, request.settings.supervision
     memory, sparse = _size(request, loaded.scene)
     scene = read_photos(loaded.scene, memory.keep)
     report(*_opening_lines(memory.plan, settings, loaded.line), sparse and sparse.line(memory.plan))
-    inspected = look_for_effects(settings.effects.names, scene)
+    inspected = inspect_photos(settings.effects.names, scene)
     scene = inspected.scene
     extent = training_extent(scene)
     measured, start = measured_depth(scene, maps), with_given_points(scene, settings.model.points)
@@ -182,17 +182,17 @@ def prepare(request: Asked, loaded: Loaded) -> Prepared:
     return Prepared(scene, start, extent, planned, memory.keep, normals, depths, stereo.maps, effects, notes)
 
 
-def _size(request: Asked, scene: Scene) -> tuple[Fitted, Decision | None]:
+def _size(request: RunRequest, scene: Scene) -> tuple[Fitted, Decision | None]:
     """The plan for so many photos, so far apart, in this machine's memory."""
 
-    def trial(change: Callable[[Plan], Plan]) -> Gain:
-        return same_everywhere(sparse_view_trial.gain(scene, request.settings, change))
+    def validate(change: Callable[[Plan], Plan]) -> Gain:
+        return same_everywhere(sparse_view_validation.gain(scene, request.settings, change))
 
     planned, sparse = for_sparse_views(
         request.plan,
         scene,
         request.settings.schedule,
-        trial=None if request.origin else trial,
+        validate=None if request.origin else validate,
         before=request.decided(ENTRY),
         may_lower=request.resumed is None,
     )
@@ -230,7 +230,7 @@ def _opening_lines(planned: Plan, settings: Settings, photos_line: str) -> list[
 
 
 def _choose_effects(
-    request: Asked, planned: Plan, inspected: Looked, start: Scene, extent: float, downscale: float
+    request: RunRequest, planned: Plan, inspected: Inspection, start: Scene, extent: float, downscale: float
 ) -> ChosenEffects:
     """The effects that the settings name, or that photos show and validation runs confirm."""
     settings, scene = request.settings, inspected.scene

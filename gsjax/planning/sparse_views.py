@@ -59,8 +59,8 @@ class Gain(NamedTuple):
         return self.depth if abs(self.depth) > SURE * self.depth_error else 0.0
 
 
-Trial = Callable[[Callable[[Plan], Plan]], Gain]
-"""Regularization of a plan -> its gain in validation runs, see `gsjax.planning.sparse_view_trial.gain`."""
+Validate = Callable[[Callable[[Plan], Plan]], Gain]
+"""Regularization of a plan -> its gain in validation runs, see `gsjax.planning.sparse_view_validation.gain`."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def for_sparse_views(
     scene: Scene,
     schedule: Schedule,
     *,
-    trial: Trial | None = None,
+    validate: Validate | None = None,
     before: Mapping[str, Any] | None = None,
     may_lower: bool = True,
 ) -> tuple[Plan, Decision | None]:
@@ -106,7 +106,7 @@ def for_sparse_views(
     (`experiments/results/few_photos.md`). So validation runs decide: by PSNR where its difference is significant, else
     by the depth of matched points.
 
-    Vanilla 3DGS is never regularized. Without a `trial` the angle between the photos decides, from `FAR_APART` on.
+    Vanilla 3DGS is never regularized. Without `validate` the angle between the photos decides, from `FAR_APART` on.
     `before` is the decision that was made when this run began. A run that resumes keeps its number of Gaussians: no
     `may_lower`.
 
@@ -115,7 +115,7 @@ def for_sparse_views(
     """
     if not schedule.sparse_views or schedule.vanilla:
         return planned, None
-    decision = Decision(**before) if before else _decide(planned, scene, trial)
+    decision = Decision(**before) if before else _decide(planned, scene, validate)
     if decision is None or not decision.held_back:
         return planned, decision
     return regularize(planned, may_lower=may_lower), decision
@@ -126,12 +126,12 @@ def is_tried(photos: int, degrees: float | None, steps: int) -> bool:
     return (photos <= FEW or is_sparse(degrees)) and photos >= FEWEST and steps >= SHORTEST
 
 
-def _decide(planned: Plan, scene: Scene, trial: Trial | None) -> Decision | None:
+def _decide(planned: Plan, scene: Scene, validate: Validate | None) -> Decision | None:
     photos, degrees = len(scene.train_frames), angle_between_photos(scene)
     by_angle = is_sparse(degrees)
-    if trial is None or not is_tried(photos, degrees, planned.photos_seen):
+    if validate is None or not is_tried(photos, degrees, planned.photos_seen):
         return Decision(photos, degrees, None, None, held_back=True) if by_angle else None
-    gain = trial(regularize)
+    gain = validate(regularize)
     return Decision(photos, degrees, gain.decibels, gain.error, gain.helps, gain.depth, gain.depth_error)
 
 

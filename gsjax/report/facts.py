@@ -25,7 +25,7 @@ CHARTS = {
     },
     "Gaussians": {"Gaussians": "gaussians"},
 }
-SPLITS = {"auto": "the data set's own split, else every 8th shot by name", "none": "asked for: all photos train"}
+SPLITS = {"auto": "the data set's own split, else every 8th photo by name", "none": "requested: all photos train"}
 
 REPORTED = {"photos": {"hold_out": str}, "seed": int, "refinement?": {"seed": int}}
 LARGEST = 1e30  # that a chart can have on its axes
@@ -48,7 +48,7 @@ class RunFacts(Run):
     @cached_property
     def history(self) -> list[dict[str, Any]]:
         """The metrics, and the last score of the held-out views."""
-        if not _is_told(self.manifest, "psnr", "steps", "train_seconds"):
+        if not _has_numbers(self.manifest, "psnr", "steps", "train_seconds"):
             return self.metrics
         scores = {f"held_out_{n}": self.manifest[n] for n in ("psnr", "psnr_near_gains") if n in self.manifest}
         last = {"step": self.manifest["steps"], "seconds": self.manifest["train_seconds"], **scores}
@@ -63,18 +63,18 @@ class RunFacts(Run):
 
 
 def what_was_read(run: RunFacts) -> Rows:
-    """Name and value."""
-    rows = [("Data set", run.manifest["scene"]), ("Photos", _photos(run)), ("Begun with", run.manifest["command"])]
-    return [*rows, ("Begun at", run.manifest["created"]), ("State", state(run))]
+    """Return name and value of what the run read."""
+    rows = [("Data set", run.manifest["scene"]), ("Photos", _photos(run)), ("Command", run.manifest["command"])]
+    return [*rows, ("Started at", run.manifest["created"]), ("State", state(run))]
 
 
 def what_was_decided(run: RunFacts) -> Rows:
-    """What, how, and why."""
+    """Return what was decided, how, and why."""
     hold_out, factor = str(run.settings["photos"]["hold_out"]), run.downscale
-    held_out = f"{sum(view['held_out'] for view in run.views)} of {len(run.views)}" if run.views else "not told yet"
+    held_out = f"{sum(view['held_out'] for view in run.views)} of {len(run.views)}" if run.views else "not known yet"
     return [
         ("Size of the photos", f"reduced {factor:g} times" if factor > 1 else "as they are", _photos(run)),
-        ("Photos for scoring", held_out, SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
+        ("Photos for scoring", held_out, SPLITS.get(hold_out, f"requested: {hold_out}")),
         ("Normals", *_normals(run)),
         ("Effects of photography", *_effects(run)),
         *_dropout(run),
@@ -175,7 +175,7 @@ def pool_curves(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     """The x and the mean y at the steps that all runs logged `key` at; of several runs also least and most."""
     logs = [
-        {record["step"]: (record[axis], record[key]) for record in run.history if _is_told(record, key, axis)}
+        {record["step"]: (record[axis], record[key]) for record in run.history if _has_numbers(record, key, axis)}
         for run in pool
     ]
     steps = sorted(set.intersection(*map(set, logs)))
@@ -186,7 +186,7 @@ def pool_curves(
 
 def phase_ends(run: RunFacts, axis: str) -> list[tuple[float, str]]:
     """Where, as far as was logged, each phase but the last ended, and its name."""
-    logged = [record for record in run.history if "phase" in record and _is_told(record, axis)]
+    logged = [record for record in run.history if "phase" in record and _has_numbers(record, axis)]
     return [
         (float(before[axis]), before["phase"])
         for before, after in zip(logged, logged[1:], strict=False)
@@ -194,7 +194,7 @@ def phase_ends(run: RunFacts, axis: str) -> list[tuple[float, str]]:
     ]
 
 
-def _is_told(record: Mapping[str, Any], *keys: str) -> bool:
+def _has_numbers(record: Mapping[str, Any], *keys: str) -> bool:
     return all(isinstance(record.get(key), int | float) and abs(record[key]) < LARGEST for key in keys)
 
 
@@ -202,11 +202,11 @@ def _photos(run: RunFacts) -> str:
     if "photos" in run.manifest:
         return run.manifest["photos"]
     sizes = sorted({(view["width"], view["height"]) for view in run.views}, reverse=True)
-    return f"{len(run.views)} photos at {sizes[0][0]}x{sizes[0][1]}" if sizes else "not told yet"
+    return f"{len(run.views)} photos at {sizes[0][0]}x{sizes[0][1]}" if sizes else "not known yet"
 
 
 def state(run: RunFacts) -> str:
-    """Done, or how far it came."""
+    """Return "done", or how many steps are logged."""
     if run.manifest["status"] == "done":
         return f"done, {run.manifest.get('updated', '')}".rstrip(", ")
     reached = run.history[-1]["step"] if run.history else 0
@@ -215,22 +215,22 @@ def state(run: RunFacts) -> str:
 
 def _normals(run: RunFacts) -> tuple[str, str]:
     if run.is_refinement or not any("normals" in phase["needs"] for phase in run.plan["phases"]):
-        return "none", "no term of the loss looks at them"
+        return "none", "no loss term needs them"
     if run.plan["normals"] is None and "stereo" in run.manifest:
         return "of multi-view stereo", run.manifest["stereo"]
     if run.plan["normals"] is None:
-        why = "no maps were given: --normals names them"
-        return "of the Gaussians' own depth, smoothed", run.manifest.get("normals", why)
+        why = "no maps were given (supervision.normals)"
+        return "self-supervised, of the rendered depth, smoothed", run.manifest.get("normals", why)
     axes = run.settings["supervision"].get("normal_axes")
-    note = f"axes asked for: {axes}" if axes else "axes as the maps' maker wrote them, or found by comparing"
+    note = f"axes requested: {axes}" if axes else "axes of the maps' maker, or found by comparison"
     return run.plan["normals"], run.manifest.get("normals", note)
 
 
 def _effects(run: RunFacts) -> tuple[str, str]:
     if run.is_refinement and run.settings["effects"]["names"] != "none":
-        return run.settings["effects"]["names"], "taken off the photos as training found them"
+        return run.settings["effects"]["names"], "removed from the photos, as training estimated them"
     if "effects" not in run.manifest:
-        return "none", "nobody looked: --effects auto does"
+        return "none", "the photos were not diagnosed: effects.names=none"
     names = ", ".join(run.manifest["effects"]["simulated"]) or "none"
     request = run.settings["effects"]["names"]
-    return names, "what the photos show, see below" if request == "auto" else f"asked for: --effects {request}"
+    return names, "what the photos show, see below" if request == "auto" else f"requested: {request}"

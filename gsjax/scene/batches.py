@@ -36,7 +36,7 @@ class Batch:
     trust: Num[Array, "H W"] | None = None  # uint8 confidence of the measured depth; decoded: 0..1
     sky: Bool[Array, "H W"] | None = None  # where the photo shows open sky
     size: Any = None  # [2] int32 width and height of the photo without padding; decoded: None
-    beside: "Batch | None" = None  # another view of the same step, where a term compares two; decoded: None
+    neighbor: "Batch | None" = None  # another view of the same step, where a term compares two; decoded: None
     turn: Int32[Array, ""] | None = None  # number of the only step that it is for: other states stay; None: of any
 
 

@@ -28,7 +28,7 @@ from gsjax.training.stepping import Feed, advance, faulty_terms, one_view, photo
 from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 
-NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
+ReadNormals = Callable[[TrainState], Sequence[np.ndarray]]
 """Training so far -> an int8 normal map a frame, see `gsjax.scene.batches.Batch`."""
 
 Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
@@ -69,7 +69,7 @@ class Work:
     extent: float  # of the cameras, scene units
     optimizer: Optimizer  # the transformation that made the state
     _: KW_ONLY
-    prior: NormalsPrior | None = None  # gives normals to the first phase that needs them
+    normal_source: ReadNormals | None = None  # gives normals to the first phase that needs them
     observe: Callable[[Progress], None] = lambda progress: None  # called after every step
     effects: Effects = field(default_factory=dict)  # the state must be made for them, their photos be `frames`
     mesh: Mesh | None = None  # devices that share the views of a step; None: one device with one view a step
@@ -77,7 +77,7 @@ class Work:
     skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the plan knows of one
     keep: Keep = in_memory  # where the smaller photos and the maps of a phase lie
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; None with a mesh
-    shares: Callable[[], np.ndarray | float] = lambda: 1.0  # of `with_neighbors`; called after `prior`
+    shares: Callable[[], np.ndarray | float] = lambda: 1.0  # of `with_neighbors`; called after `normal_source`
     make_step: Callable[..., TrainStep] = field(default_factory=lambda: kept_step)  # as `make_train_step`
 
 
@@ -139,17 +139,17 @@ def _with_statistics(state: TrainState, rule: DensificationRule, is_new: bool) -
 class Views(NamedTuple):
     """What the steps of a phase compare with."""
 
-    image: Batches  # those without the dear terms
+    image: Batches  # those without surface terms
     surface: Batches  # those with them
 
 
 def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
-    """What the phase compares with; the same for all steps where those with the dear terms see no smaller photos."""
+    """What the phase compares with; the same for all steps where those with surface terms see no smaller photos."""
     scale = phase.scale * phase.surface_scale
     surface = _photos(work, phase, scale)
     if "normals" in phase.needs:
-        assert work.prior is not None, "the plan has such a term only where there are normals"
-        surface = batches.with_normals(surface, work.prior(state), scale, work.keep)
+        assert work.normal_source is not None, "the plan has such a term only where there are normals"
+        surface = batches.with_normals(surface, work.normal_source(state), scale, work.keep)
     if "measured" in phase.needs:
         assert work.depths is not None, "the plan has such a term only where there is measured depth"
         surface = batches.with_depths(surface, work.depths(scale), work.keep)
@@ -160,7 +160,7 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
 
 
 def _photos(work: Work, phase: PlannedPhase, scale: int) -> Batches:
-    """The photos so many times smaller, with what steps without the dear terms need with them."""
+    """The photos so many times smaller, with what steps without surface terms need with them."""
     data = batches.read_batches(work.frames, scale=scale, keep=work.keep)
     if work.effects:
         data = batches.with_photo_numbers(data)

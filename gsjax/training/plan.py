@@ -36,7 +36,7 @@ class PlannedPhase:
     terms: tuple[Weighed, ...]  # of non-zero weight
     rule: DensificationRule | None = None  # of densification; None: none
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
-    surface_every: int = 1  # one of so many steps has the dear terms
+    surface_every: int = 1  # one of so many steps has the surface terms
     surface_scale: int = 1  # photos of those steps are so many times smaller still
     dropout: float = 0.0  # share of the Gaussians that each step leaves out
 
@@ -52,8 +52,8 @@ class PlannedPhase:
 
     @property
     def image_terms(self) -> tuple[Weighed, ...]:
-        """The terms without the dear ones."""
-        return tuple(each for each in self.terms if not each.is_dear)
+        """The terms without the surface terms."""
+        return tuple(each for each in self.terms if not each.is_surface)
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def plan(
             cull,
             dropout=settings.schedule.dropout,
         )
-        if any(each.is_dear for each in phase_terms):
+        if any(each.is_surface for each in phase_terms):
             planned = replace(planned, surface_every=phase.surface_every, surface_scale=phase.surface_scale)
         phases.append(planned)
         begin = end

@@ -114,11 +114,12 @@ class _Objective:
     def gradients(self, state: TrainState, target: Batch, color: Array, key: Array):
         """`_Free` gradients of the loss, `Metrics` and the projection of one view."""
         batch = batches.decode(target, color)
-        beside = batches.decode(target.beside, color) if "neighbor" in needs(self.terms) and target.beside else None
+        has_neighbor = "neighbor" in needs(self.terms) and target.neighbor
+        neighbor = batches.decode(target.neighbor, color) if has_neighbor else None
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if self.rule else None
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, error, projection, pairs)), gradients = jax.value_and_grad(self._loss, has_aux=True)(
-            free, state, batch, beside, color, key
+            free, state, batch, neighbor, color, key
         )
         return gradients, Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses), projection
 
@@ -130,10 +131,11 @@ class _Objective:
         distances = jnp.where(is_visible, projection.depths[0], 0) / self.extent
         return self.rule.accumulate(statistics, gradients.probe, is_visible, distances, size)
 
-    def _loss(self, free: _Free, state: TrainState, batch: Batch, beside: Batch | None, color: Array, key: Array):
+    def _loss(self, free: _Free, state: TrainState, batch: Batch, neighbor: Batch | None, color: Array, key: Array):
         gaussians, probe, numbers = free
         needed, effects = needs(self.terms), self.effects
-        batch = replace(batch, camera=simulation.move_camera(effects, numbers, batch.camera, batch.photo))
+        move_camera = partial(simulation.move_camera, effects, numbers)
+        batch = replace(batch, camera=move_camera(batch.camera, batch.photo))
         remaining = leave_out(gaussians, self.dropout, jax.random.fold_in(key, 3)) if self.dropout else gaussians
         view = rendering.render(
             remaining,
@@ -149,13 +151,13 @@ class _Objective:
         view = simulation.photograph(effects, numbers, view, batch, color)
         batch, added = simulation.mask_untrusted(effects, numbers, view, batch)
         pairs = view.splats.pairs
-        if beside is not None:
-            beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
-            neighbor = multi_view.render_neighbor(remaining, beside, self.capacity, self.depth_mode)
-            view = view._replace(neighbor=neighbor)
+        if neighbor is not None:
+            neighbor = replace(neighbor, camera=move_camera(neighbor.camera, neighbor.photo))
+            rendered = multi_view.render_neighbor(remaining, neighbor, self.capacity, self.depth_mode)
+            view = view._replace(neighbor=rendered)
             assert pairs is not None, "both views list their splats"
-            longest = jnp.maximum(pairs.needed, neighbor.pairs.needed)
-            pairs = pairs._replace(needed=longest, overflowed=pairs.overflowed | neighbor.pairs.overflowed)
+            longest = jnp.maximum(pairs.needed, rendered.pairs.needed)
+            pairs = pairs._replace(needed=longest, overflowed=pairs.overflowed | rendered.pairs.overflowed)
         total, losses, error = weighted_loss(self.terms, self.rule, gaussians, view, batch)
         total = total if added is None else total + added
         return total, (losses, error, view.splats.projection, pairs)

@@ -18,7 +18,7 @@ from gsjax.scene.batches import Batch, Batches
 from gsjax.training import data_parallel
 from gsjax.training.capacity import STILL, can_stream, is_compiled_anew, no_room, rounded_capacity
 from gsjax.training.step import Metrics
-from gsjax.training.terms.multi_view import drawn_beside
+from gsjax.training.terms.multi_view import draw_neighbor
 
 S = TypeVar("S")  # A state of training.
 
@@ -46,11 +46,11 @@ def one_view(data: Batches, seed: int, view_share: float) -> Callable[[int], Bat
 
     def of_step(step: int) -> list[int]:
         view = view_order(seed, step, data.num_views)
-        return [view] if data.neighbors is None else [view, drawn_beside(data.neighbors[view], seed, step)]
+        return [view] if data.neighbors is None else [view, draw_neighbor(data.neighbors[view], seed, step)]
 
     def target(step: int) -> Batch:
-        here, *beside = fed(of_step(step), of_step(step + 1))
-        return replace(here, beside=beside[0]) if beside else here
+        here, *neighbor = fed(of_step(step), of_step(step + 1))
+        return replace(here, neighbor=neighbor[0]) if neighbor else here
 
     return target
 
@@ -69,7 +69,7 @@ def several_views(
         target = data.views[view]
         if data.neighbors is None:
             return target
-        return replace(target, beside=data.views[drawn_beside(data.neighbors[view], seed, place)])
+        return replace(target, neighbor=data.views[draw_neighbor(data.neighbors[view], seed, place)])
 
     def stacked(step: int) -> Batch:
         places = range(step * views_per_step, (step + 1) * views_per_step)

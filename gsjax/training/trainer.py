@@ -163,7 +163,7 @@ class Step:
         return replace(state, statistics=statistics, densification=self.densification, optimizer=self.optimizer)
 
     def _check(self, view: Batch) -> None:
-        fields = {"normals": view.normals, "measured": view.depth, "sky": view.sky, "neighbor": view.beside}
+        fields = {"normals": view.normals, "measured": view.depth, "sky": view.sky, "neighbor": view.neighbor}
         for name in sorted(self.needs & fields.keys()):
             if fields[name] is None:
                 terms = ", ".join(each.name for each in self.terms if name in each.term.needs)

@@ -14,7 +14,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
-from gsjax.planning import preparation, sparse_view_trial, sparse_views
+from gsjax.planning import preparation, sparse_view_validation, sparse_views
 from gsjax.planning.sparse_views import Gain
 from gsjax.settings import Settings
 
@@ -116,14 +116,14 @@ def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene,
     assert capacities == [900] and "found some" not in capsys.readouterr().err
 
 
-def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, tmp_path, monkeypatch, capsys):
-    trials, run = [], tmp_path / "run"
+def test_sparse_view_validation_runs_are_made_once_and_a_run_goes_on_as_they_said(scene, tmp_path, monkeypatch, capsys):
+    folds, run = [], tmp_path / "run"
 
     def helps(scene, settings, held_back):
-        trials.append([frame.name for frame in scene.train_frames])
+        folds.append([frame.name for frame in scene.train_frames])
         return Gain(0.5, 0.1)
 
-    monkeypatch.setattr(sparse_view_trial, "gain", helps)
+    monkeypatch.setattr(sparse_view_validation, "gain", helps)
     monkeypatch.setattr(sparse_views, "SHORTEST", 12)
     first = SETTINGS["schedule"]["phases"][:1]
     settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"sparse_views": True, "phases": first}}))
@@ -133,7 +133,7 @@ def test_sparse_view_trials_are_made_once_and_a_run_goes_on_as_they_said(scene, 
         assert line in capsys.readouterr().err
         plan = json_files.read(run / "plan.json")
         assert (plan["max_gaussians"], [phase["dropout"] for phase in plan["phases"]]) == (450, [0.2])
-    assert len(trials) == 1
+    assert len(folds) == 1
 
 
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, first_phase, scene, tmp_path):
@@ -182,7 +182,7 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
 def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, capsys):
     for index in range(9):
         write_image(tmp_path / f"maps/{index:03d}.png", np.full((40, 40, 3), 9, np.uint8))
-    options = ["--normals", str(tmp_path / "maps"), "--set", "schedule.sparse_views=false"]  # No trial comes first.
+    options = ["--normals", str(tmp_path / "maps"), "--set", "schedule.sparse_views=false"]  # No validation first.
     assert cli.main(["train", str(scene), "--out", str(tmp_path / "run"), *options]) == 2
     *progress, error = capsys.readouterr().err.splitlines()
     assert error.startswith("gsjax: error: ") and "maps/001.png: normal map is 40x40, its frame 48x40" in error

@@ -28,7 +28,7 @@ from gsjax.training.state import count_alive, initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
 from gsjax.training.stepping import several_views, view_order
 from gsjax.training.terms import weigh_terms
-from gsjax.training.terms.multi_view import drawn_beside, with_neighbors
+from gsjax.training.terms.multi_view import draw_neighbor, with_neighbors
 
 ALIVE, ROWS, PAIRS, EXTENT = 60, 64, 4096, 2.0
 SIZE = (32, 24)
@@ -60,7 +60,7 @@ def views():
     """The four views, each with its nearest neighbour."""
     data = data_set()
     nearest = data.neighbors[:, 0]
-    return [replace(target, beside=data.views[view]) for target, view in zip(data.views, nearest, strict=True)]
+    return [replace(target, neighbor=data.views[view]) for target, view in zip(data.views, nearest, strict=True)]
 
 
 def effects_of(is_on):
@@ -155,9 +155,9 @@ def test_steps_take_the_views_that_one_device_would_take_one_by_one():
     data, mesh = data_set(), device_mesh(2, 4)
     target = several_views(data, 7, 0.5, mesh=mesh, views_per_step=4)(1)
     order = [view_order(7, place, 4) for place in range(4, 8)]
-    beside = [drawn_beside(data.neighbors[view], 7, place) for view, place in zip(order, range(4, 8), strict=True)]
+    beside = [draw_neighbor(data.neighbors[view], 7, place) for view, place in zip(order, range(4, 8), strict=True)]
     np.testing.assert_array_equal(target.photo, order)
-    np.testing.assert_array_equal(target.beside.photo, beside)
+    np.testing.assert_array_equal(target.neighbor.photo, beside)
     assert {shard.data.shape[0] for shard in target.image.addressable_shards} == {2}
 
 

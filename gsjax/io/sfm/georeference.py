@@ -77,7 +77,7 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
         flat = np.where(has_heights[:, None], places, places * [1, 1, 0])
         fitted = _least_median(_level(turn_upright(up), has_heights), 2, centers, flat)
         if fitted is None or min(up_error, tilt_error) > _LARGEST_ERROR:
-            return _unknown("the GPS of the photos does not tell which way is up, nor do the cameras")
+            return _unknown("neither the GPS of the photos nor the cameras imply which way is up")
         motion, trusted = fitted
     assert motion is not None
     across = places[trusted] - places[trusted].mean(0)
@@ -85,8 +85,8 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
     residual = np.linalg.norm((motion(centers) - places)[:, :axes], axis=1)
     spread = math.sqrt((across[:, :axes] ** 2).sum())
     if math.sqrt((residual[trusted] ** 2).sum()) > _LARGEST_NOISE * spread:
-        return _unknown(f"the photos lie within {_length(2 * spread / math.sqrt(len(trusted)))} of each other by GPS,"
-                        " which is not told apart from its errors")  # fmt: skip
+        return _unknown(f"the photos are within {_length(2 * spread / math.sqrt(len(trusted)))} of each other by GPS,"
+                        " which is no more than its errors")  # fmt: skip
     wrong = sorted(set(range(len(having))) - set(trusted.tolist()))
     errors = {int(having[row]): float(residual[row]) for row in wrong}
     altitude = origin[2] if has_heights.any() else None

@@ -67,8 +67,8 @@ class Weighed:
     term: Term
 
     @property
-    def is_dear(self) -> bool:
-        """Whether it needs more than the image of a view and its Gaussians, which makes a step longer."""
+    def is_surface(self) -> bool:
+        """Whether this is a surface term: its steps need more than the image of a view and its Gaussians."""
         return bool(frozenset(self.term.needs) - {"gaussians", "sky", "matte"})
 
 

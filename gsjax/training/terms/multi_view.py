@@ -117,14 +117,14 @@ def _in_front(point: Array) -> tuple[Array, Array]:
     return jnp.where(in_front, point, jnp.array([0, 0, 1], point.dtype)), in_front
 
 
-def render_neighbor(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
+def render_neighbor(gaussians: Gaussians, neighbor: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
     """What the terms need of the second view."""
-    splats = rendering.splat(gaussians, beside.camera, capacity, depth_mode=rendering.splat_depth_mode(depth_mode))
+    splats = rendering.splat(gaussians, neighbor.camera, capacity, depth_mode=rendering.splat_depth_mode(depth_mode))
     neighbor_depth, _ = depth.expected_depth(splats, depth_mode)
-    return Neighbor(beside.camera, neighbor_depth, splats.pairs, beside.image, beside.valid)
+    return Neighbor(neighbor.camera, neighbor_depth, splats.pairs, neighbor.image, neighbor.valid)
 
 
-def drawn_beside(neighbors: np.ndarray, seed: int, step: int) -> int:
+def draw_neighbor(neighbors: np.ndarray, seed: int, step: int) -> int:
     """One of a view's `[M]` neighbours, each as likely: a function of (seed, step) alone."""
     return int(np.random.default_rng((seed, step, 1)).choice(neighbors))
 
@@ -137,8 +137,8 @@ def with_neighbors(views: Batches, extent: float, shares: np.ndarray | float = 1
     """
     neighbors = nearest_views(np.stack([target.camera.viewmat for target in views.views]), extent)
     own = np.arange(len(neighbors))
-    beside = np.rint(NEAREST * np.broadcast_to(shares, own.shape))
-    alone = np.arange(NEAREST) >= beside[:, None]
+    others = np.rint(NEAREST * np.broadcast_to(shares, own.shape))
+    alone = np.arange(NEAREST) >= others[:, None]
     return replace(views, neighbors=np.where(alone, own[:, None], neighbors))
 
 

@@ -63,10 +63,10 @@ def draw(gaussians, faces=None):
 
 @pytest.mark.parametrize("free", FREE.values(), ids=FREE)
 def test_a_scene_looks_and_pulls_like_the_same_gaussians_without_a_mesh(free):
-    hybrid = with_free(bound_at(), free)
-    plain = jax.tree.map(jnp.asarray, all_gaussians(hybrid))
-    assert (hybrid.num_gaussians, hybrid.num_free, plain.num_gaussians) == (15, 3, 15)
-    colors, pulls = draw(replace(hybrid, bound=replace(hybrid.bound, faces=None)), hybrid.bound.faces)
+    mixed = with_free(bound_at(), free)
+    plain = jax.tree.map(jnp.asarray, all_gaussians(mixed))
+    assert (mixed.num_gaussians, mixed.num_free, plain.num_gaussians) == (15, 3, 15)
+    colors, pulls = draw(replace(mixed, bound=replace(mixed.bound, faces=None)), mixed.bound.faces)
     expected_colors, expected = draw(plain)
     assert_close(colors, expected_colors)
     for name in ("means", "log_scales", "quats", "logit_opacities", "sh_dc", "sh_rest"):

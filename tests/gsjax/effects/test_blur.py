@@ -10,7 +10,7 @@ from scipy import ndimage
 from gsjax.effects.blur import photos_to_leave_out
 from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.observations import edge_width, observe
-from gsjax.planning.effects import look_for_effects
+from gsjax.planning.effects import inspect_photos
 from gsjax.scene import with_pixels
 
 
@@ -64,7 +64,7 @@ def test_blurred_photos_do_not_vouch_for_each_other_and_one_sharp_one_is_too_few
 @pytest.mark.parametrize(("effects", "expected"), [("auto", ("04.png",)), ("poses,blur", ("04.png",)), ("poses", ())])
 def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effects, expected, capsys):
     scene = blurred(4)
-    result = look_for_effects(effects, scene)
+    result = inspect_photos(effects, scene)
     assert result.left_out == expected
     names = tuple(frame.name for frame in scene.frames if frame.name not in expected)
     assert tuple(frame.name for frame in result.scene.frames) == names

@@ -112,7 +112,7 @@ def test_copies_of_photos_that_a_split_names_are_held_out_with_them(tmp_path, ca
         (root / stated).write_text("a2.png\n")
     photos = photos_of(files, ["a2.png"] if stated == "own" else [])
     assert held_out(str(root / stated) if stated == "mine.txt" else "auto", root, photos) == ["a2.png", "c.png"]
-    assert f"{root}: held out as well, as they show the same shots as held-out photos: c.png" in capfd.readouterr().err
+    assert f"{root}: held out as well, as duplicates of held-out photos: c.png" in capfd.readouterr().err
     assert held_out("none", root, [replace(photo, held_out=True) for photo in photos]) == []
 
 

@@ -42,9 +42,9 @@ def test_shares_are_those_of_circles(radius, half, every, monkeypatch):
     mesh, matte = outline(radius) & usable, outline(1.0) & usable
     either = np.sum(mesh | matte)
     expected = [np.sum(part) / either for part in (mesh & matte, mesh & ~matte, matte & ~mesh)]
-    outlines = silhouettes_of(scene(photos(3, valid if half else None)))
-    assert outlines[0].is_object.shape == (len(range(every // 2, SIZE, every)),) * 2
-    shares = overlap(ball(5, radius), outlines)
+    in_photos = silhouettes_of(scene(photos(3, valid if half else None)))
+    assert in_photos[0].is_object.shape == (len(range(every // 2, SIZE, every)),) * 2
+    shares = overlap(ball(5, radius), in_photos)
     np.testing.assert_allclose(shares, expected, atol=0.006)
 
 

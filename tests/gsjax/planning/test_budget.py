@@ -138,8 +138,8 @@ def test_the_first_twenty_steps_of_each_phase_are_timed_and_the_compiling_ones_l
     monkeypatch.setattr(budget.loop, "follow", follow)
     whole, compiling = budget.measure(wall(20, num_points=40), SETTINGS)
     assert whole == pytest.approx(700 * 1 + 900 * 2 + 30 * 3) and compiling == pytest.approx(3 * 27)
-    (trial,), (state,) = work, states
-    phases = [(phase.begin, phase.end, phase.cull_below) for phase in trial.plan.phases]
+    (fold,), (state,) = work, states
+    phases = [(phase.begin, phase.end, phase.cull_below) for phase in fold.plan.phases]
     assert phases == [(0, 20, 0), (20, 40, 0), (40, 60, 0)]
-    assert trial.plan.density.start > 60 and 0 < len(trial.frames) <= 8
+    assert fold.plan.density.start > 60 and 0 < len(fold.frames) <= 8
     assert int(is_alive(state.gaussians).sum()) == state.gaussians.num_gaussians == 300

@@ -139,7 +139,7 @@ def test_training_comes_nearer_to_what_was_measured_than_without(frames):
         maps[0][0][:, :9] = 0.0
         maps[1][0][:, 9:12] = np.nan
         state = initial_state(jax.tree.map(jnp.copy, start), optimizer)
-        watch = {"prior": lambda state: [], "observe": lambda progress: None}
+        watch = {"normal_source": lambda state: [], "observe": lambda progress: None}
         final = fit(settings, frames, 1.0, state, optimizer, depths=lambda scale, maps=maps: maps, **watch)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(final.gaussians))
         errors.append(rendered_error(final.gaussians))

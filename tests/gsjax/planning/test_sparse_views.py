@@ -33,7 +33,7 @@ PLAN = plan(SETTINGS)
 
 
 def never(*_):
-    pytest.fail("no trial is needed")
+    pytest.fail("no validation run is needed")
 
 
 def arc(degrees, *, held_out=(), alone=0):
@@ -70,11 +70,12 @@ def test_regularized_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none
 
 
 @pytest.mark.parametrize("degrees", [FAR_APART - 1, FAR_APART + 1])
-@pytest.mark.parametrize("trial", [None, never], ids=["without trials", "in a short run"])
-def test_the_angle_decides_where_no_trial_does(degrees, trial):
+@pytest.mark.parametrize("validate", [None, never], ids=["without validation", "in a short run"])
+def test_the_angle_decides_without_validation(degrees, validate):
     """A run that begins in another's checkpoint has no beginning to try, and a short one no time."""
-    settings, is_far = SETTINGS.replace(schedule={"phases": SHORT_PHASES}) if trial else SETTINGS, degrees > FAR_APART
-    final_plan, decision = for_sparse_views(plan(settings), arc(degrees), settings.schedule, trial=trial)
+    is_far = degrees > FAR_APART
+    settings = SETTINGS.replace(schedule={"phases": SHORT_PHASES}) if validate else SETTINGS
+    final_plan, decision = for_sparse_views(plan(settings), arc(degrees), settings.schedule, validate=validate)
     assert final_plan == (regularize(plan(settings)) if is_far else plan(settings))
     assert (decision is not None) == is_far
     if is_far:
@@ -95,9 +96,9 @@ def test_the_angle_decides_where_no_trial_does(degrees, trial):
         (Gain(-0.1, 0.2), False),
     ],
 )
-def test_trials_decide_of_few_photos_and_depth_where_pictures_are_not_sure(gain, helps):
+def test_validation_decides_for_few_photos_by_depth_where_psnr_is_not_significant(gain, helps):
     for degrees in (4.0, FAR_APART + 1):
-        final_plan, decision = for_sparse_views(PLAN, arc(degrees), SETTINGS.schedule, trial=lambda *_: gain)
+        final_plan, decision = for_sparse_views(PLAN, arc(degrees), SETTINGS.schedule, validate=lambda *_: gain)
         assert gain.helps == decision.held_back == helps
         assert final_plan == (regularize(PLAN) if helps else PLAN)
     line, has_depth = decision.line(final_plan), gain.depth is not None

@@ -55,25 +55,26 @@ def frames():
 
 
 class Watch:
-    """Copies of what the loop told, and of what it asked the prior."""
+    """Copies of what the loop reports, and of the Gaussians that normals are read for."""
 
     def __init__(self):
-        self.progress, self.states, self.priors = [], [], []
+        self.progress, self.states, self.requests = [], [], []
 
     def observe(self, progress):
         # The next step takes the state's buffers: a checkpoint copies.
         self.states.append(jax.tree.map(np.array, progress.state))
         self.progress.append(progress._replace(state=None))
 
-    def prior(self, state):
-        self.priors.append(jax.tree.map(np.array, state.gaussians))
+    def read_normals(self, state):
+        self.requests.append(jax.tree.map(np.array, state.gaussians))
         return [np.tile(np.int8([12, 25, -124]), (24, 32, 1))] * 3
 
 
 def fitted(frames, settings=SETTINGS, state=None, capacity=None):
     watch = Watch()
     state = start() if state is None else jax.tree.map(jnp.asarray, state)
-    final = fit(settings, frames, EXTENT, state, OPTIMIZER, prior=watch.prior, observe=watch.observe, capacity=capacity)
+    watching = {"normal_source": watch.read_normals, "observe": watch.observe}
+    final = fit(settings, frames, EXTENT, state, OPTIMIZER, **watching, capacity=capacity)
     return SimpleNamespace(final=final, **watch.__dict__)
 
 
@@ -96,7 +97,7 @@ def test_phases_follow_each_other_with_their_terms_and_the_prior_is_asked_for_no
     assert terms == {"coarse": {"l1", "alpha"}, "surface": {"l1", "alpha", "entropy", "sdf_normal"}}
     assert len({(p.phase.name, p.capacity) for p in whole.progress}) == 2  # a capacity is a compilation
     assert_identical(whole.states[-1], whole.final)
-    (gaussians,) = whole.priors
+    (gaussians,) = whole.requests
     assert_identical(gaussians, whole.states[5].gaussians)
 
 
@@ -126,7 +127,7 @@ def test_a_run_continued_from_a_copy_ends_with_the_same_bits(frames, whole, done
     capacity = 64 if done == 3 else whole.progress[done].capacity
     resumed = fitted(frames, state=whole.states[done - 1], capacity=capacity)
     assert [p.step for p in resumed.progress] == list(range(done + 1, 12))
-    assert resumed.progress[0].capacity > 64 and len(resumed.priors) == 1
+    assert resumed.progress[0].capacity > 64 and len(resumed.requests) == 1
     for again, before in zip(resumed.states, whole.states[done:], strict=True):
         assert_identical(again, before)
     assert_identical(resumed.final, whole.final)

@@ -232,7 +232,7 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     state = start()
     for index in range(2):
         with nothing_traced() if index else nullcontext():
-            state, metrics = step(state, replace(data.views[index], beside=data.views[index + 1]), KEY)
+            state, metrics = step(state, replace(data.views[index], neighbor=data.views[index + 1]), KEY)
         assert set(metrics.terms) == {each.name for each in terms}
         assert all(0 < float(value) < 9 for value in metrics.terms.values()), metrics.terms  # one of them is in pixels
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))
@@ -240,6 +240,6 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     # A neighbour that looks closer, and needs more room than any view.
     closer = replace(data.views[1].camera, K=data.views[1].camera.K * np.float32([[3, 1, 1], [1, 3, 1], [1, 1, 1]]))
     before = copied(state)
-    after, metrics = step(state, replace(data.views[0], beside=replace(data.views[1], camera=closer)), KEY)
+    after, metrics = step(state, replace(data.views[0], neighbor=replace(data.views[1], camera=closer)), KEY)
     assert metrics.overflowed and int(metrics.needed) > capacity
     assert_identical(after, before)

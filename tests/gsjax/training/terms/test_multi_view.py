@@ -264,8 +264,8 @@ def test_every_step_has_a_neighbour_of_its_view_beside_it():
     for step in range(90):
         here = target(step)
         assert int(here.photo) == stepping.view_order(0, step, len(PHOTOS))
-        np.testing.assert_array_equal(here.beside.camera.viewmat, data.views[int(here.beside.photo)].camera.viewmat)
-        beside[int(here.photo)].add(int(here.beside.photo))
+        np.testing.assert_array_equal(here.neighbor.camera.viewmat, data.views[int(here.neighbor.photo)].camera.viewmat)
+        beside[int(here.photo)].add(int(here.neighbor.photo))
     assert beside == [set(row.tolist()) for row in rows]
     # In a share of the steps: elsewhere a view is its own neighbour.
     neighbors = multi_view.with_neighbors(batches.read_batches(PHOTOS), 8.0, np.array([1.0, 0.4, 0.0])).neighbors

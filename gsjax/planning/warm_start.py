@@ -1,4 +1,4 @@
-"""Runs that a training continues: one that resumes with the same pieces, and another one with steps in common."""
+"""Warm start from another run's last common checkpoint, and resuming with the same terms, effects and rule."""
 
 import shutil
 from collections.abc import Mapping
@@ -12,11 +12,11 @@ from gsjax.runs.run import Run
 from gsjax.training.plan import Plan, steps_in_common
 
 ENTRY = "handed_in"
-"""Of the manifest: names of terms and effects, and whether there is a rule of densification."""
+"""Key of the manifest: names of the user's terms and effects, and whether there is a rule of densification."""
 
 
 def shared_steps(warm_start: Path, planned: Plan) -> int:
-    """How many steps a plan has in common with a run.
+    """Return how many steps a plan has in common with a run.
 
     Raises:
         InputError: The run has no checkpoint of them.
@@ -27,8 +27,8 @@ def shared_steps(warm_start: Path, planned: Plan) -> int:
     return steps
 
 
-def take_normals(warm_start: Path, run: Path, planned: Plan, step: int) -> None:
-    """Copies the normals that steps before `step` were compared with: drawn from later Gaussians they were others."""
+def copy_normals(warm_start: Path, run: Path, planned: Plan, step: int) -> None:
+    """Copy the normals that supervised the steps before `step`; normals of later Gaussians would differ."""
     source, target = warm_start / "normals", run / "normals"
     read_before = any("normals" in phase.needs and phase.begin < step for phase in planned.phases)
     if read_before and source.is_dir() and not target.exists():
@@ -37,18 +37,18 @@ def take_normals(warm_start: Path, run: Path, planned: Plan, step: int) -> None:
 
 
 def pieces_record(terms: Mapping[str, Any], densification: Any, effects: Mapping[str, Any]) -> dict[str, Any]:
-    """The entry of the manifest; nothing where nothing is handed in."""
+    """Return the entry of the manifest; an empty one without terms, effects or rule of the user."""
     record = {"terms": sorted(terms), "effects": sorted(effects), "densification": densification is not None}
     return {ENTRY: record} if any(record.values()) else {}
 
 
 def require_pieces(run: Run, record: Mapping[str, Any]) -> None:
-    """InputError where a run would resume with other pieces than it was started with, see `pieces_record`."""
+    """Raise InputError if a run would resume with other pieces than at its start, see `pieces_record`."""
     started = run.manifest.get(ENTRY)
     if started != record.get(ENTRY):
         raise InputError(
             f"{run.folder}: was started with {_as_arguments(started)}, not with {_as_arguments(record.get(ENTRY))};"
-            " a resumed run is handed the same"
+            " resume it with the same"
         )
 
 

@@ -7,8 +7,8 @@ import pytest
 from small_scenes import built_in
 
 from gsjax.io.scenes import load_scene
-from gsjax.planning import sparse_view_trial, validation
-from gsjax.planning.sparse_view_trial import FEWEST_FOLDS, FOLDS, Score, gain
+from gsjax.planning import sparse_view_validation, validation
+from gsjax.planning.sparse_view_validation import FEWEST_FOLDS, FOLDS, Score, gain
 from gsjax.scene import Pixels, Tracks, frame_of, with_pixels
 from gsjax.scene.cameras import Camera
 from gsjax.settings import Model, Phase, Schedule, Settings
@@ -41,7 +41,7 @@ def forgetful(plan):
 
 
 @pytest.mark.usefixtures("short")
-def test_the_worse_way_loses_the_same_way_gains_nothing_and_trials_of_one_way_share_their_programs(scene, monkeypatch):
+def test_the_worse_way_loses_the_same_way_gains_nothing_and_runs_of_one_way_share_their_programs(scene, monkeypatch):
     """All that a program is kept by (`gsjax.training.loop.kept_step`) is the same, but for the pairs' buffer."""
     original, calls = loop._shared_train_step, []
 
@@ -62,19 +62,19 @@ def test_the_worse_way_loses_the_same_way_gains_nothing_and_trials_of_one_way_sh
 
 
 @pytest.fixture
-def trial_log(monkeypatch):
+def run_log(monkeypatch):
     """What validation runs are given; they score zero and 0.1 without the change, and `scores` and `offs` with it."""
-    trials, scores, offs = [], [], {}
+    runs, scores, offs = [], [], {}
 
     def score(way, scene, depths, settings, matched, observe):
-        trials.append((way, [f.name for f in scene.held_out_frames]))
-        is_held = way is not trials[0][0]
-        numbers = [int(name[:3]) for name in trials[-1][1]]
+        runs.append((way, [f.name for f in scene.held_out_frames]))
+        is_held = way is not runs[0][0]
+        numbers = [int(name[:3]) for name in runs[-1][1]]
         return [Score(scores[i], offs.get(i)) if is_held else Score(0.0, 0.1) for i in numbers]
 
-    monkeypatch.setattr(sparse_view_trial, "score_variant", score)
-    monkeypatch.setattr(sparse_view_trial, "training_extent", lambda scene: 1.0)
-    return trials, scores, offs
+    monkeypatch.setattr(sparse_view_validation, "score_variant", score)
+    monkeypatch.setattr(sparse_view_validation, "training_extent", lambda scene: 1.0)
+    return runs, scores, offs
 
 
 def names(count, held_out=()):
@@ -82,14 +82,14 @@ def names(count, held_out=()):
     return tuple(frame_of(f"{i:03d}", np.eye(4), np.eye(3), pixels, held_out=i in held_out) for i in range(count))
 
 
-def test_unsure_trials_keep_every_photo_once_in_both_ways(trial_log, scene):
-    trials, scores, _ = trial_log
+def test_unsure_runs_keep_every_photo_once_in_both_ways(run_log, scene):
+    runs, scores, _ = run_log
     scores += [1.0, -1.0] * 5
     result = gain(replace(scene, frames=names(10, held_out=(3,))), SETTINGS, forgetful)
-    first, *_ = trials[0]
-    as_it_is = [name for way, photos in trials if way is first for name in photos]
-    other_way = [name for way, photos in trials if way is not first for name in photos]
-    assert len(trials) == 2 * FOLDS
+    first, *_ = runs[0]
+    as_it_is = [name for way, photos in runs if way is first for name in photos]
+    other_way = [name for way, photos in runs if way is not first for name in photos]
+    assert len(runs) == 2 * FOLDS
     assert as_it_is == other_way
     assert sorted(other_way) == [f"{i:03d}" for i in range(10) if i != 3], "held-out photos play no part"
     expected = np.delete(scores, 3)
@@ -99,8 +99,8 @@ def test_unsure_trials_keep_every_photo_once_in_both_ways(trial_log, scene):
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("ratio", [None, 0.5, 2.0])
-def test_sure_trials_end_where_depth_does_not_contradict_them(trial_log, scene, sign, ratio):
-    trials, scores, offs = trial_log
+def test_sure_runs_end_where_depth_does_not_contradict_them(run_log, scene, sign, ratio):
+    runs, scores, offs = run_log
     scores += [sign * (2 + 0.1 * (i % 3)) for i in range(10)]
     if ratio is not None:
         offs |= {i: 0.1 * ratio * (1 + 0.01 * (i % 3 - 1)) for i in range(10)}
@@ -108,11 +108,11 @@ def test_sure_trials_end_where_depth_does_not_contradict_them(trial_log, scene, 
     contradicted = ratio == (2.0 if sign > 0 else 0.5)
     assert sign * result.decibels > 2
     assert result.is_contradicted == contradicted
-    assert len(trials) == 2 * (FOLDS if contradicted else FEWEST_FOLDS)
+    assert len(runs) == 2 * (FOLDS if contradicted else FEWEST_FOLDS)
 
 
-def test_depth_counts_where_both_ways_tell_of_it(trial_log, scene):
-    _, scores, offs = trial_log
+def test_depth_counts_where_both_ways_tell_of_it(run_log, scene):
+    _, scores, offs = run_log
     scores += [1.0, -1.0] * 5
     offs |= {2: 0.05, 7: 0.2, 9: 0.1}
     result = gain(replace(scene, frames=names(10)), SETTINGS, forgetful)
@@ -132,10 +132,10 @@ def test_depth_is_off_by_what_matched_points_say():
     above[8:] = False  # those at two are masked
 
     def off(depth, *points, valid=whole):
-        return sparse_view_trial.depth_error(depth, valid, camera, np.concatenate(points))
+        return sparse_view_validation.depth_error(depth, valid, camera, np.concatenate(points))
 
     assert off(wall, at_two, at_four, *unseen) == pytest.approx(0.5)
-    assert off(wall, at_two, at_two) == sparse_view_trial.LEAST_ERROR
+    assert off(wall, at_two, at_two) == sparse_view_validation.LEAST_ERROR
     assert off(np.zeros((16, 16)), at_four, at_four) == 1.0, "nothing is shown"
     assert off(wall, at_two, *unseen) is None
     assert off(wall, at_two, at_two, at_two, at_four, at_four, valid=above) == pytest.approx(0.5)
