@@ -85,11 +85,6 @@ def covariances(gaussians: Gaussians) -> Array:
     return jnp.sum(columns[:, :, None, :] * columns[:, None, :, :], axis=-1)
 
 
-def sh_coefficients(gaussians: Gaussians) -> Array:
-    """`[N, (L+1)^2, 3]` coefficients of all degrees."""
-    return jnp.concatenate([gaussians.sh_dc, gaussians.sh_rest], axis=1)
-
-
 def without_view_dependence(gaussians: Gaussians) -> Gaussians:
     """The same Gaussians with their constant colour alone: what a surface is painted with."""
     return replace(gaussians, sh_rest=jnp.zeros_like(jnp.asarray(gaussians.sh_rest)))

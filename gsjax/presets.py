@@ -8,7 +8,7 @@ from typing import Any
 
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.settings import AUTO, Settings
+from gsjax.settings import AUTO, PAPER_PHASES, Settings
 
 
 def _phase(name: str, steps: int, **more: Any) -> dict:
@@ -90,13 +90,9 @@ ACCURATE = config.merge(
 )
 
 
-def _of_the_paper(surface_steps: int) -> dict[str, Any]:
-    phases = [
-        _phase("vanilla", 7000, density_control=True),
-        _phase("entropy", 2000, weights={"entropy": 0.1}, cull_below=0.5),
-        _phase("surface", surface_steps, weights={"sdf_normal": 0.2}),
-    ]
-    return {"schedule": {"phases": phases}, "rates": {"decay_steps": 30000}}
+def _of_the_paper(**surface: Any) -> dict[str, Any]:
+    phases = [config.to_dict(phase) for phase in PAPER_PHASES]
+    return {"schedule": {"phases": [*phases[:-1], phases[-1] | surface]}, "rates": {"decay_steps": 30000}}
 
 
 DEMO: dict[str, Any] = {
@@ -145,8 +141,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     "fast": FAST,
     "balanced": BALANCED,
     "accurate": ACCURATE,
-    "paper_6k_15k": _of_the_paper(6000),
-    "paper_13k_7k": _of_the_paper(13_000),
+    "paper_6k_15k": _of_the_paper(),
+    "paper_13k_7k": _of_the_paper(steps=13_000),
 }
 REFINED_BY = {
     "quick": "fast",

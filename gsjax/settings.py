@@ -86,25 +86,23 @@ class Phase:
 
 
 MEANS_FINAL = 1.6e-6  # times the scene extent: the last learning rate of the means (3DGS, arguments/__init__.py)
+COLOR_RATE, OPACITY_RATE = 0.0025, 0.05  # learning rates of `sh_dc` and of opacities (the same)
 
 
 @dataclass(frozen=True)
 class Rates:
-    """Adam learning rates of 3DGS (its arguments/__init__.py)."""
+    """Adam learning rates of 3DGS (its arguments/__init__.py), with `COLOR_RATE` and `OPACITY_RATE`."""
 
     means: float = 1.6e-4  # times the scene extent; falls log-linearly to `MEANS_FINAL` at `decay_steps`
     decay_steps: int | None = None  # None: the steps of all phases
-    sh_dc: float = 0.0025
     sh_rest: float = 0.000125
-    opacities: float = 0.05
     scales: float = 0.005
     quats: float = 0.001
     final_share: float = 1.0  # of all rates but the means', reached log-linearly in the last third of `decay_steps`
 
     def __post_init__(self):
         declare_types(self)
-        rates = ("sh_dc", "sh_rest", "opacities", "scales", "quats")
-        check_lowest(self, means=MEANS_FINAL, **dict.fromkeys(rates, 0))
+        check_lowest(self, means=MEANS_FINAL, sh_rest=0, scales=0, quats=0)
         if self.decay_steps is not None:
             check_lowest(self, decay_steps=1)
         if not 0 < self.final_share <= 1:
@@ -119,14 +117,14 @@ class Density:
     start: int = 500
     stop: int = 15000
     every: int = 100
-    gradient: float = 2e-4  # adc: mean norm of the loss' gradient to the 2D mean, in NDC units
+
     full_by: float = 0.9  # error: where between `start` and `stop` the budget is full, reached geometrically
     replace: float = 0.1  # error: share that moves in each densification, from the least seen to the worst
     reset_every: int = 3000  # and, over a white background, at `start`; 0: never
 
     def __post_init__(self):
         declare_types(self)
-        check_lowest(self, start=0, stop=0, every=1, gradient=0, reset_every=0)
+        check_lowest(self, start=0, stop=0, every=1, reset_every=0)
         for name in ("full_by", "replace"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name}={getattr(self, name)} is not between 0 and 1")
@@ -181,9 +179,11 @@ def named_effects(effects: str) -> tuple[str, ...]:
     return tuple(name for name in EFFECTS if name in names)
 
 
-VANILLA = Phase("vanilla", 7000, density_control=True)
-ENTROPY = Phase("entropy", 2000, Weights(entropy=0.1), cull_below=0.5)
-SURFACE = Phase("surface", 6000, Weights(sdf_normal=0.2))
+PAPER_PHASES = (
+    Phase("vanilla", 7000, density_control=True),
+    Phase("entropy", 2000, Weights(entropy=0.1), cull_below=0.5),
+    Phase("surface", 6000, Weights(sdf_normal=0.2)),
+)
 
 
 @dataclass(frozen=True)
@@ -261,7 +261,7 @@ class Model:
 class Schedule:
     """What runs when."""
 
-    phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
+    phases: tuple[Phase, ...] = PAPER_PHASES
     views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
     sh_every: int = 1000  # steps between the bands of the ramp
     vanilla: bool = False  # vanilla 3DGS for the same number of steps: no entropy, no cull, no normals, no stereo
@@ -290,11 +290,9 @@ class EffectChoice:
 
     names: str = NONE  # "none"; "auto", those that the photos show; or names, as in "exposure,vignetting"
     sky: str | None = None  # folder of masks, 0 where photos show sky, or "auto": it must be visible
-    sky_weight: float = 0.1  # of the term `sky`, where photos show any
 
     def __post_init__(self):
         declare_types(self)
-        check_lowest(self, sky_weight=0)
         named_effects(self.names)
 
 

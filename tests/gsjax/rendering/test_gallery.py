@@ -4,7 +4,7 @@ from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 import rasterizer
-from gsjax.gaussians import opacities, scales, sh_coefficients
+from gsjax.gaussians import opacities, scales
 from gsjax.rendering import MIN_COVERAGE, gallery
 
 BACKGROUND = np.array([0.1, 0.9, 0.4])
@@ -25,7 +25,7 @@ def reference(scene, camera, **options):
     shape = scene.means, scene.quats, scales(scene), opacities(scene)
     cameras = camera.viewmat[None], camera.K[None], camera.width, camera.height
     how = {"sh_degree": 1, "render_mode": "RGB+ED", "backend": "reference", **options}
-    return rasterizer.rasterization(*shape, sh_coefficients(scene), *cameras, **how)
+    return rasterizer.rasterization(*shape, np.concatenate([scene.sh_dc, scene.sh_rest], 1), *cameras, **how)
 
 
 def test_a_picture_has_its_cameras_size_and_content(scene_and_pictures):

@@ -10,7 +10,7 @@ from tolerances import assert_close
 
 import rasterizer
 from gsjax import rendering
-from gsjax.gaussians import opacities, scales, sh_coefficients
+from gsjax.gaussians import opacities, scales
 from rasterizer import _reference
 
 CAMERA = camera_at((0.4, -0.3, 0.2), (0.1, 0.1, 4.0))
@@ -30,7 +30,8 @@ def dense_reference(gaussians, sh_degree=2, **options):
     shape = gaussians.means, gaussians.quats, scales(gaussians), opacities(gaussians)
     cameras = CAMERA.viewmat[None], CAMERA.K[None], CAMERA.width, CAMERA.height
     how = {"sh_degree": sh_degree, "render_mode": "RGB+D", "backend": "reference", "depth_mode": "plane", **options}
-    image, alphas, _ = rasterizer.rasterization(*shape, sh_coefficients(gaussians), *cameras, **how)
+    colors = jnp.concatenate([gaussians.sh_dc, gaussians.sh_rest], 1)
+    image, alphas, _ = rasterizer.rasterization(*shape, colors, *cameras, **how)
     return np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
 
 

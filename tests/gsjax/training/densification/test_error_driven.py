@@ -9,7 +9,7 @@ from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
 import rasterizer
-from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, sh_coefficients
+from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales
 from gsjax.scene import batches
 from gsjax.scene.cameras import Camera
 from gsjax.settings import Density, Rates, Weights
@@ -207,7 +207,7 @@ def setup():
 def dense_weights(gaussians: Gaussians, camera: Camera):
     """`[H, W, 3 + N]` the picture (degree 0) and every Gaussian's blending weight at every pixel, in float64."""
     wide, viewmat, K = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), (gaussians, camera.viewmat, camera.K))
-    colors = jnp.maximum(0.28209479177387814 * sh_coefficients(wide)[:, 0] + 0.5, 0)
+    colors = jnp.maximum(0.28209479177387814 * wide.sh_dc[:, 0] + 0.5, 0)
     channels = jnp.concatenate([colors, jnp.eye(wide.num_gaussians)], -1)
     shape = wide.means, wide.quats, scales(wide), opacities(wide)
     size = camera.width, camera.height
