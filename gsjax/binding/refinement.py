@@ -29,7 +29,7 @@ from gsjax.presets import RATES
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.batches import Batch, Batches
-from gsjax.settings import Rates, check_lowest, check_seed
+from gsjax.settings import OPACITY_RATE, Rates, check_lowest, check_seed
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.step import Background, Metrics, Outcome, guarded_step, weighted_loss
@@ -52,16 +52,17 @@ class RefinementWeights:
             object.__setattr__(self, name, weight)
 
 
+VERTICES_FINAL = 1.6e-6  # the vertices' last rate, in the unit of `RefinementRates.vertices` (SuGaR, refine.py)
+
+
 @dataclass(frozen=True)
 class RefinementRates:
-    """Adam learning rates."""
+    """Adam learning rates, with `OPACITY_RATE`."""
 
-    vertices: float = 1.6e-4  # times 10 extent / sqrt(number of vertices)
-    vertices_final: float = 1.6e-6  # the same; reached log-linearly at `decay_steps`
+    vertices: float = 1.6e-4  # times 10 extent / sqrt(number of vertices); falls to `VERTICES_FINAL` at `decay_steps`
     decay_steps: int | None = None  # of the vertices; None: twice the steps of the run
     sh_dc: float = 0.0025
     sh_rest: float = 0.000125
-    opacities: float = 0.05
     scales: float = 0.005
     rotations: float = 0.001
     final_share: float = 1.0  # of all rates above but the vertices', reached log-linearly in the last third
@@ -70,13 +71,11 @@ class RefinementRates:
     def __post_init__(self):
         """Check types and ranges."""
         declare_types(self)
-        check_lowest(self, vertices=0, sh_dc=0, sh_rest=0, opacities=0, scales=0, rotations=0)
+        check_lowest(self, vertices=VERTICES_FINAL, sh_dc=0, sh_rest=0, scales=0, rotations=0)
         if self.decay_steps is not None:
             check_lowest(self, decay_steps=1)
         if not 0 < self.final_share <= 1:
             raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
-        if not 0 < self.vertices_final <= self.vertices:
-            raise ValueError(f"vertices_final={self.vertices_final} is not between 0 and vertices={self.vertices}")
 
 
 @dataclass(frozen=True)
@@ -312,7 +311,7 @@ def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> op
     of_bound = {
         "log_scales": rates.scales,
         "rotations": rates.rotations,
-        "logit_opacities": rates.opacities,
+        "logit_opacities": OPACITY_RATE,
         "sh_dc": rates.sh_dc,
         "sh_rest": rates.sh_rest,
     }
@@ -333,8 +332,8 @@ def vertex_rate(settings: Refinement, extent: float, num_vertices: int) -> optax
     falling = optax.exponential_decay(
         rates.vertices * unit,
         rates.decay_steps or 2 * settings.steps,
-        rates.vertices_final / rates.vertices,
-        end_value=rates.vertices_final * unit,
+        VERTICES_FINAL / rates.vertices,
+        end_value=VERTICES_FINAL * unit,
     )
     return optax.join_schedules([falling, optax.constant_schedule(0.0)], [settings.moving_steps])
 

@@ -21,7 +21,7 @@ from gsjax.rendering import backdrop, gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Frame, batches, with_pixels
 from gsjax.scene.cameras import Camera
-from gsjax.settings import Settings
+from gsjax.settings import COLOR_RATE, Settings
 from gsjax.training import optimizers
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import plan
@@ -81,7 +81,8 @@ class EffectRuns:
     def _variant(self) -> Variant:
         """A validation run that simulates any of the proposed effects, each with a switch."""
         planned = plan(self.settings).with_effects(self.proposed)
-        optimizer = optimizers.make_optimizer(planned.rates, self.extent, planned.steps)
+        # Points have the colours of the photos that they were matched in: what gains change must be learned in time.
+        optimizer = optimizers.make_optimizer(planned.rates, self.extent, planned.steps, color_rate=HURRY * COLOR_RATE)
         effects = simulations(start(self.observations, self.proposed), self.proposed, _rate)
         effects = {name: switchable(effect) for name, effect in effects.items()}
         return Variant(planned, optimizer, self.extent, effects)

@@ -5,14 +5,14 @@ photos and from what the rest of the same photo implies about its camera. Held-o
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from tqdm import tqdm
 
 from gsjax.effects.observations import Observations
-from gsjax.planning.effect_runs import HURRY, EffectRuns, Initial, held_out_blocks, without_blocks
+from gsjax.planning.effect_runs import EffectRuns, Initial, held_out_blocks, without_blocks
 from gsjax.planning.pace import FIXED_COST, relative_cost
 from gsjax.planning.validation import Validated, image_scale, short_settings
 from gsjax.scene import Frame, preload
@@ -77,11 +77,8 @@ class EffectValidation:
         short = short_settings(self.settings, self.frames, 0, SIDE)
         phase = Phase("validation", steps, image_scale=_scale(self.planned, self.frames))
         behind = "black" if short.model.background == "random" else short.model.background
-        # Points have the colours of the photos that they were matched in: what gains change must be learned in time.
-        rates = replace(short.rates, sh_dc=HURRY * short.rates.sh_dc)
-        return short.replace(
-            rates=rates, schedule={"phases": (phase,), "sh_every": max(steps // 6, 1)}, model={"background": behind}
-        )
+        schedule = {"phases": (phase,), "sh_every": max(steps // 6, 1)}
+        return short.replace(schedule=schedule, model={"background": behind})
 
 
 def select(

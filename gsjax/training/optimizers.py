@@ -12,7 +12,7 @@ import optax
 from jax import Array
 
 import rasterizer
-from gsjax.settings import MEANS_FINAL, Rates
+from gsjax.settings import COLOR_RATE, MEANS_FINAL, OPACITY_RATE, Rates
 from rasterizer import Moments
 
 P = TypeVar("P")  # parameters: a pytree of arrays
@@ -72,21 +72,24 @@ class Adam:
 
 
 @lru_cache(maxsize=16)  # Programs are kept by it: the same rates shall be the same key.
-def make_optimizer(rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1) -> Adam:
+def make_optimizer(
+    rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1, color_rate: float = COLOR_RATE
+) -> Adam:
     """Adam (0.9, 0.999) per field of `Gaussians`; the rate of the means falls log-linearly to `MEANS_FINAL`.
 
     The other rates stay, or fall to `rates.final_share` of themselves in the last third of `decay_steps`. The means'
     are times the camera extent, scene units. Moments forget as much a photo, whatever a step has of them.
     """
-    final = math.sqrt(views_per_step) * MEANS_FINAL
+    root = math.sqrt(views_per_step)
+    final = root * MEANS_FINAL
     of_means = optax.exponential_decay(
         rates.means * extent, max(decay_steps, 1), final / rates.means, end_value=final * extent
     )
     others = {
         "quats": rates.quats,
         "log_scales": rates.scales,
-        "logit_opacities": rates.opacities,
-        "sh_dc": rates.sh_dc,
+        "logit_opacities": root * OPACITY_RATE,
+        "sh_dc": root * color_rate,
         "sh_rest": rates.sh_rest,
     }
     of_others = {name: falling_at_last(rate, rates.final_share, decay_steps) for name, rate in others.items()}

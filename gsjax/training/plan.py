@@ -21,8 +21,9 @@ from gsjax.training.terms.checking import as_terms, check_term
 
 T = TypeVar("T", Density, Logging)
 
-RATES = "means", "sh_dc", "sh_rest", "opacities", "scales", "quats"
+RATES = "means", "sh_rest", "scales", "quats"
 """The fields of `Rates` that are rates."""
+SKY_WEIGHT = 0.1  # of the term `sky`: ours, as that of `alpha`
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,6 @@ class Plan:
     effects: tuple[str, ...] = ()  # that are simulated
     stereo_points: int = 0  # that are looked for before the first step, see `gsjax.stereo`
     rule: DensificationRule = DENSIFICATION_RULES["adc"]  # of the phases that densify
-    sky_weight: float = 0.0  # of the term `sky`, which phases have with the effect of that name
 
     @property
     def steps(self) -> int:
@@ -103,7 +103,7 @@ class Plan:
         names = tuple(names)
         growing = sum(phase.steps for phase in self.phases if phase.rule)
         density = transients.delay_densification(self.density, growing) if "transients" in names else self.density
-        whole = self.with_terms(weights_of_data("sky", self.sky_weight)) if "sky" in names else self
+        whole = self.with_terms(weights_of_data("sky", SKY_WEIGHT)) if "sky" in names else self
         return replace(whole, effects=names, density=density)
 
     def with_terms(self, weights: Mapping[str, float]) -> Self:
@@ -224,7 +224,7 @@ def plan(
             if not settings.supervision.has_depth and "measured" in each.term.needs:
                 raise InputError(f"{where}: needs measured depth, --depth DIR")
             if "sky" in each.term.needs:
-                raise InputError(f"{where}: effects.sky_weight weighs it where photos show sky")
+                raise InputError(f"{where}: the effect sky adds this term where photos show sky")
         end = begin + _fewer(phase.steps, settings.schedule.views_per_step)
         cull = 0.0 if settings.schedule.vanilla else phase.cull_below
         planned = PlannedPhase(
@@ -255,7 +255,6 @@ def plan(
         logging=_in_steps(settings.logging, views, "metrics_every", "evaluate_every", "checkpoint_every"),
         stereo_points=0 if settings.schedule.vanilla else settings.model.stereo_points,
         rule=rule,
-        sky_weight=settings.effects.sky_weight,
     ).with_effects(tuple(effects))
 
 

@@ -20,7 +20,7 @@ from gsjax.binding.refinement import Refinement
 from gsjax.meshing import level_set, poisson
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.presets import PRESETS, REFINED_BY
-from gsjax.settings import MEANS_FINAL, Density, Rates, Settings
+from gsjax.settings import COLOR_RATE, MEANS_FINAL, OPACITY_RATE, Density, Rates, Settings
 from gsjax.training.densification import gradient_driven
 from gsjax.training.initialize import from_points
 from rasterizer import GSPLAT, adam, similarity
@@ -124,15 +124,15 @@ CONSTANTS = (
              lambda: protocol("paper_6k_15k")["keep_free"]),
     # 3DGS
     Constant("rates of the means", (1.6e-4, 1.6e-6), DGS, lambda: (Rates().means, MEANS_FINAL)),
-    Constant("rates of colour", (2.5e-3, 2.5e-3 / 20), DGS, lambda: (Rates().sh_dc, Rates().sh_rest)),
+    Constant("rates of colour", (2.5e-3, 2.5e-3 / 20), DGS, lambda: (COLOR_RATE, Rates().sh_rest)),
     Constant("rates of opacity, scale, rotation", (0.05, 0.005, 0.001), DGS,
-             lambda: (Rates().opacities, Rates().scales, Rates().quats)),
+             lambda: (OPACITY_RATE, Rates().scales, Rates().quats)),
     Constant("Adam's epsilon", 1e-15, "3DGS, scene/gaussian_model.py", lambda: default(adam, "eps")),
     Constant("first opacity", 0.1, "3DGS, scene/gaussian_model.py", lambda: default(from_points, "opacity")),
     Constant("harmonics", (3, 1000), DGS, lambda: (Settings().model.sh_degree, Settings().schedule.sh_every)),
     Constant("densified from, until, every", (500, 15_000, 100), DGS,
              lambda: (Density().start, Density().stop, Density().every)),
-    Constant("gradient that grows", 2e-4, DGS, lambda: Density().gradient),
+    Constant("gradient that grows", 2e-4, DGS, lambda: gradient_driven.GRADIENT),
     Constant("extent that splits and that is pruned", (0.01, 0.1), DGS,
              lambda: (gradient_driven.DENSE_SHARE, gradient_driven.MAX_SHARE)),
     Constant("halves are smaller by", 0.8 * 2, "3DGS, densify_and_split", lambda: gradient_driven.SPLIT),

@@ -20,6 +20,7 @@ from gsjax.scene.cameras import center
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import data_parallel
 from gsjax.training.data_parallel import device_mesh
+from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.loop import Work, follow
 from gsjax.training.optimizers import make_optimizer
@@ -174,11 +175,12 @@ SETTINGS = Settings(
         phases=(Phase("coarse", 12, Weights(dssim=0.0), image_scale=2, density_control=True, cull_below=0.01),),
         sh_every=4,
     ),
-    density=Density(start=1, stop=12, every=4, gradient=1e-6, reset_every=10),
+    density=Density(start=1, stop=12, every=4, reset_every=10),
 )
 
 
-def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_on_with_one():
+def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_on_with_one(monkeypatch):
+    monkeypatch.setattr(gradient_driven, "GRADIENT", 1e-6)
     frames = photographed(cloud(50, seed=5), CAMERAS[:3], with_mattes=True)
     optimizer = make_optimizer(Rates(), 1.0, 6)
 

@@ -14,6 +14,7 @@ from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation
 from gsjax.settings import Density
 
 DENSE_SHARE = 0.01  # of the extent: larger Gaussians split, smaller ones are cloned (3DGS, percent_dense)
+GRADIENT = 2e-4  # mean norm of the loss' gradient to the 2D mean, NDC units, from which Gaussians are densified (3DGS)
 MIN_OPACITY = 0.005  # under which Gaussians are pruned (3DGS, train.py)
 MAX_SHARE = 0.1  # of the extent: larger ones are pruned, by `error_driven` the near ones (3DGS)
 SPLIT = 1.6  # Times smaller than the whole are the halves of a split (3DGS: 0.8 times two).
@@ -86,7 +87,7 @@ def wanted_count(
     del step, budget
     alive = is_alive(gaussians)
     mean = statistics.gradient / jnp.maximum(statistics.views, 1)
-    return jnp.sum(alive, dtype=jnp.int32) + jnp.sum(alive & (mean >= density.gradient), dtype=jnp.int32)
+    return jnp.sum(alive, dtype=jnp.int32) + jnp.sum(alive & (mean >= GRADIENT), dtype=jnp.int32)
 
 
 def densify(
@@ -101,7 +102,7 @@ def densify(
 ) -> tuple[Gaussians, Moves]:
     """Clone, split and prune.
 
-    A Gaussian whose mean gradient reaches `density.gradient` is cloned when small (the copy starts with zero moments)
+    A Gaussian whose mean gradient reaches `GRADIENT` is cloned when small (the copy starts with zero moments)
     and split when large (two samples of itself, 1.6 times smaller, both with zero moments). Pruned is what then is
     under `MIN_OPACITY` and, if `prune_large`, larger than `MAX_SHARE` of the extent: a large, badly
     fitted Gaussian leaves its halves behind where these are small enough. Where rows are short it waits, whole.
@@ -117,7 +118,7 @@ def densify(
     largest = scales(gaussians).max(-1)
     gradient = statistics.gradient / jnp.maximum(statistics.views, 1)
     is_opaque = is_alive(gaussians) & (opacities(gaussians) >= MIN_OPACITY)
-    wants = is_opaque & (gradient >= density.gradient)
+    wants = is_opaque & (gradient >= GRADIENT)
     splits = largest > DENSE_SHARE * extent
     # Growing changes no opacity and a size by a known factor. So what pruning would take afterwards, children and all,
     # is known now, and its row serves at once.

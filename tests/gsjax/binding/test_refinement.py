@@ -173,7 +173,7 @@ def test_the_rates_are_those_of_the_mesh_and_of_training():
         ({"thickness": 0.0}, "thickness=0.0"),
         ({"halved_share": 1.0}, "halved_share=1.0 is not at least 0 and below 1"),
         ({"photo_refine_at": 0.0}, "photo_refine_at=0.0 is not above 0 and at most 1"),
-        ({"rates": {"vertices": 0.0}}, "rates: vertices_final=1.6e-06 is not between 0 and vertices=0.0"),
+        ({"rates": {"vertices": 0.0}}, "rates: vertices=0.0 is below 1.6e-06"),
         ({"rates": {"final_share": 0.0}}, "rates: final_share=0.0 is not above 0 and at most 1"),
     ],
 )

@@ -111,7 +111,7 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["train"] == ["30.5", "1.25", "psnr 25, ssim 0.8125, gaussians 1,234"]
     assert page.cells["Size of the photos"] == ["reduced 2 times", "9 photos at 64x48 (taken at 128x96)"]
     assert page.cells["Photos for scoring"][0] == "4 of 9"
-    assert page.cells["Normals"][0] == "of the Gaussians' own depth, smoothed"
+    assert page.cells["Normals"][0] == "self-supervised, of the rendered depth, smoothed"
     runs.update_manifest(run, stereo="depth and normals of 9 of 9 photos")
     assert Page(report(run)).cells["Normals"] == ["of multi-view stereo", "depth and normals of 9 of 9 photos"]
     assert page.cells["exposure"] == ["simulated", "0.31 EV", "0.02 EV", "0.05 EV", "a<b"]

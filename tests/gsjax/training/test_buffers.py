@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +9,7 @@ from gsjax.settings import Density, Rates
 from gsjax.training import buffers
 from gsjax.training.buffers import lengthen, shorten, with_room_to_densify
 from gsjax.training.densification.error_driven import ErrorStatistics
-from gsjax.training.densification.gradient_driven import GradientStatistics
+from gsjax.training.densification.gradient_driven import GRADIENT, GradientStatistics
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import from_points
 from gsjax.training.optimizers import apply_gradients, make_optimizer
@@ -18,7 +17,7 @@ from gsjax.training.state import count_alive, densify, initial_state, remove
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
 ALIVE, SHORT, LONG = 20, 24, 64
-DENSITY = {"adc": Density(gradient=0.5), "error": Density(rule="error", start=0, stop=200, full_by=1.0)}
+DENSITY = {"adc": Density(), "error": Density(rule="error", start=0, stop=200, full_by=1.0)}
 # The rule of errors fills 64 rows in three densifications: 20 * (64 / 20)^(1/3), rounded up, are 30.
 
 
@@ -33,9 +32,10 @@ def trained(capacity, rule):
     )
     moved, opt_state = apply_gradients(OPTIMIZER, gaussians, state.opt_state, gradients, jnp.bool_(False))
     rising = jnp.asarray(alive * np.arange(capacity) / ALIVE, jnp.float32)
-    kinds = {"adc": GradientStatistics, "error": partial(ErrorStatistics, 2 * rising)}
-    more = {"adc": (), "error": (3 * rising,)}
-    statistics = kinds[rule](rising, jnp.asarray(alive), *more[rule])
+    if rule == "adc":  # Half of the rows reach the threshold.
+        statistics = GradientStatistics(2 * GRADIENT * rising, jnp.asarray(alive))
+    else:
+        statistics = ErrorStatistics(2 * rising, rising, jnp.asarray(alive), 3 * rising)
     return replace(state, gaussians=moved, opt_state=opt_state, statistics=statistics)
 
 

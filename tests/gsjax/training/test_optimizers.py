@@ -4,7 +4,7 @@ import numpy as np
 from small_scenes import cloud
 from tolerances import assert_close
 
-from gsjax.settings import MEANS_FINAL, Rates
+from gsjax.settings import COLOR_RATE, MEANS_FINAL, OPACITY_RATE, Rates
 from gsjax.training.optimizers import apply_gradients, make_optimizer
 
 EXTENT, STEPS = 2.5, 9
@@ -30,8 +30,8 @@ def test_every_field_moves_by_its_rate_and_that_of_the_means_falls_log_linearly_
         "means": Rates().means * EXTENT,
         "quats": Rates().quats,
         "log_scales": Rates().scales,
-        "logit_opacities": Rates().opacities,
-        "sh_dc": Rates().sh_dc,
+        "logit_opacities": OPACITY_RATE,
+        "sh_dc": COLOR_RATE,
         "sh_rest": Rates().sh_rest,
     }
     for name, rate in rates.items():
@@ -49,4 +49,4 @@ def test_the_other_rates_fall_in_the_last_third_where_they_are_asked_to():
     rates = make_optimizer(Rates(final_share=0.1), EXTENT, STEPS).rates
     falling = np.array([[rates[name](step) for name in ("log_scales", "sh_dc")] for step in range(12)])
     share = 0.1 ** (np.clip(np.arange(12) - 6, 0, 3) / 3)
-    np.testing.assert_allclose(falling, share[:, None] * [Rates().scales, Rates().sh_dc], rtol=1e-5)
+    np.testing.assert_allclose(falling, share[:, None] * [Rates().scales, COLOR_RATE], rtol=1e-5)

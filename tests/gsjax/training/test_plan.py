@@ -48,7 +48,7 @@ def test_a_sky_adds_its_term_to_every_step_and_without_one_it_is_nowhere():
     assert [terms(phase) for phase in with_sky.phases] == [terms(phase) | {"sky": 0.1} for phase in without.phases]
     assert all("sky" in {each.name for each in phase.image_terms} for phase in with_sky.phases)
     assert plan(SETTINGS).with_effects(("background",)).phases == without.phases
-    with pytest.raises(InputError, match="schedule.phases.surface.weights.sky: effects.sky_weight weighs it"):
+    with pytest.raises(InputError, match="schedule.phases.surface.weights.sky: the effect sky adds"):
         plan(SETTINGS.replace(schedule={"phases": (Phase("surface", 10, Weights(sky=0.2)),)}))
 
 
@@ -68,7 +68,7 @@ def test_everything_comes_after_as_many_photos_and_rates_grow_with_the_root():
     assert larger.density == Density(start=13, stop=225, every=13, reset_every=0)
     assert larger.logging == Logging(13, 0, 63)
     assert larger.rates.final_share == 0.2
-    for name in ("means", "sh_dc", "sh_rest", "opacities", "scales", "quats"):
+    for name in ("means", "sh_rest", "scales", "quats"):
         assert getattr(larger.rates, name) == pytest.approx(2 * getattr(SETTINGS.rates, name))
 
 

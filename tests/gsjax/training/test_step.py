@@ -96,7 +96,7 @@ def test_one_compilation_serves_all_views_steps_and_bands_whatever_happens_to_th
     for change in (
         partial(reset_opacities, optimizer=OPTIMIZER, limit=0.01),
         partial(cull, optimizer=OPTIMIZER, min_opacity=0.001),
-        lambda state: densify(state, KEY, jnp.float32(2.0), jnp.asarray(False), density=Density(gradient=0), **how),
+        lambda state: densify(state, KEY, jnp.float32(2.0), jnp.asarray(False), density=Density(), **how),
     ):
         before, state = state, change(state)
         assert before.gaussians.means.is_deleted(), "it takes the arrays of the state before"
@@ -169,8 +169,9 @@ def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
     monkeypatch.setattr(gradient_driven, "MIN_OPACITY", 0.0)
     state, _ = run(setup, start(), 3)
     mean_gradient = np.asarray(state.statistics.gradient / jnp.maximum(state.statistics.views, 1))
-    # Room for 20: the threshold lets 30 ask; those under 0.1 units are cloned, the others split.
-    density = Density(gradient=float(np.sort(mean_gradient)[-30]))
+    # Room for 20: 30 reach the threshold; those under 0.1 units are cloned, the others split.
+    monkeypatch.setattr(gradient_driven, "GRADIENT", float(np.sort(mean_gradient)[-30]))
+    density = Density(every=7)  # of no other test, so that a program with these thresholds is compiled
     before = jax.tree.map(np.array, state)
     how = {"density": density, "extent": 1.0, "prune_large": False}
     densified = jax.jit(partial(gradient_driven.densify, **how))

@@ -12,12 +12,13 @@ from gsjax.training.densification.gradient_driven import GradientStatistics
 from gsjax.training.initialize import DEAD_LOGIT
 
 EXTENT = 10.0
-DENSITY = Density(gradient=0.5)
+DENSITY = Density()
 
 
 @pytest.fixture(autouse=True)
 def _thresholds(monkeypatch):
     """Small is up to 0.1, large over 5."""
+    monkeypatch.setattr(control, "GRADIENT", 0.5)
     monkeypatch.setattr(control, "MIN_OPACITY", 0.1)
     monkeypatch.setattr(control, "MAX_SHARE", 0.5)
 
