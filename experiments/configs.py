@@ -10,7 +10,7 @@ from gsjax.config import merge, parse, to_dict
 from gsjax.presets import DEMO, PRESETS
 from gsjax.settings import NONE, Rates, Settings
 
-# No effects: runs are compared by the score of the render as it is. Nothing is held back for what photos are like.
+# No effects: runs are compared by the score of the render as it is. No sparse-view regularization.
 _BASE: dict[str, Any] = merge(PRESETS["fast"], {"effects": {"names": NONE}, "schedule": {"sparse_views": False}})
 _DEMO = to_dict(parse(Settings, DEMO))
 

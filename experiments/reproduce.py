@@ -114,7 +114,7 @@ def _is_done(job: Job, options: Options) -> bool:
 
 
 def write_tables(out: Path, schedules: Iterable[str]) -> None:
-    """OUT/tables.md of all runs in the folder; the asked schedules have rows even without any."""
+    """OUT/tables.md of all runs in the folder; the requested schedules have rows even without any."""
     from gsjax.io.files import atomic_path
 
     results = found_runs(out)

@@ -2,18 +2,18 @@
 
     python experiments/room.py RUN_OR_MESH ... [--room DIR] [--place FILE]
 
-RUN is the folder of `gsjax scan` (both its meshes are scored), or that of a run with a `mesh.ply`; a mesh file lies in
+RUN is the folder of `gsjax scan` (both its meshes are scored), or that of a run with a `mesh.ply`; a mesh file is in
 the folder of its run, whose `cameras.json` says from where the photos were taken. DIR (default: ../shared/data/room)
 holds the truth: `truth_mesh.ply` in metres, and `poses.json`, camera to world by the photos' names.
 
-The mesh is brought to the truth by the similarity between the cameras' places, robust to a fifth of them being wrong,
-then by ICP with scale. Accuracy is the median distance of the mesh to the truth, of what lies in the truth's box and in
+The mesh is aligned with the truth by the similarity between the cameras' places, robust to a fifth of them being wrong,
+then by ICP with scale. Accuracy is the median distance of the mesh to the truth, of what is in the truth's box and in
 front of its cameras, completeness that of the truth to the mesh; F is at 3, 5 and 10 cm; the normal error is the mean
 angle between the triangles of the mesh and the nearest of the truth, whichever side they face. The last two rows are
 the floor: the truth against itself drawn anew, and the truth after it was misplaced as the first mesh was and aligned.
 
 `--place` writes the truth where the first mesh's run has the room. `gsjax texture RUN --mesh FILE` paints it, and
-`gsjax eval RUN --mesh` then scores what the run's photos bring on the sensor's own surface.
+`gsjax eval RUN --mesh` then scores what the run's photos gain on the sensor's own surface.
 """
 
 import argparse
@@ -123,7 +123,7 @@ def camera_alignment(run: Path, truth: Truth) -> Alignment:
         within = np.linalg.norm(similarity(ours[some], theirs[some])(ours) - theirs, axis=1) < INLIER
         best = within if within.sum() > best.sum() else best
     if best.sum() < 4:
-        raise InputError(f"{run}: its cameras do not lie as the truth's do, to {100 * INLIER:g} cm")
+        raise InputError(f"{run}: its cameras do not match the truth's to {100 * INLIER:g} cm")
     return similarity(ours[best], theirs[best])
 
 
@@ -140,7 +140,7 @@ def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
         distances = distances * alignment.scale
         near = (distances < max(WITHIN, 2 * float(np.median(distances)))) & (distances < FARTHEST)
         if near.sum() < 4:
-            raise InputError("the mesh lies nowhere near the truth after its cameras were aligned")
+            raise InputError("the mesh is nowhere near the truth after its cameras were aligned")
         before, alignment = alignment, similarity(points[np.asarray(nearest)[near]], targets[near])
         if np.abs(alignment(before.back(targets)) - targets).max() < AT_REST:
             break
@@ -148,7 +148,7 @@ def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
 
 
 def scores(mesh: Mesh, truth: Truth, *, seed: int = 1) -> dict[str, float]:
-    """Distances, F-scores and normal error of a mesh that lies where the truth does; see above."""
+    """Distances, F-scores and normal error of a mesh that is where the truth is; see above."""
     from gsjax.metrics.geometry import nearest, sample_surface
 
     true_points, true_normals = sample_surface(truth.mesh, DENSE_TRUTH, 0)
@@ -181,7 +181,7 @@ def moved(mesh: Mesh, by: Alignment) -> Mesh:
 
 
 def run(sources: Sequence[str], room: str, place: str | None = None) -> dict[str, dict[str, float]]:
-    """The scores of all meshes by their file, and of the floor; the truth where the first mesh lies goes to `place`.
+    """The scores of all meshes by their file, and of the floor; the truth where the first mesh is goes to `place`.
 
     Raises:
         InputError: The truth or a mesh cannot be read or aligned.
@@ -212,7 +212,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("meshes", nargs="+", metavar="RUN_OR_MESH")
     parser.add_argument("--room", metavar="DIR", default=str(Path(__file__).parents[2] / "shared/data/room"))
-    parser.add_argument("--place", metavar="FILE", help="also write the truth where the first mesh lies")
+    parser.add_argument("--place", metavar="FILE", help="also write the truth where the first mesh is")
     arguments = parser.parse_args()
     print(tables.compare(run(arguments.meshes, arguments.room, arguments.place)))
 

@@ -1,4 +1,4 @@
-"""From nested dicts to frozen dataclasses and back; a wrong key or value is named where it stands.
+"""From nested dicts to frozen dataclasses and back; a wrong key or value is named where it is.
 
 Configuration is data at the edge: a base dict, small differences merged over it, `key=value` overrides from the
 command line, and one `parse` that checks everything. No function of the method takes a config.
@@ -61,7 +61,7 @@ def parse_numbers(numbers: Mapping[str, Any], *, where: str) -> dict[str, float]
 
 
 def declare_types(record: Any) -> None:
-    """Bring every field of a dataclass to its declared type, as `parse` does; what its `__post_init__` begins with.
+    """Convert every field of a dataclass to its declared type, as `parse` does; what its `__post_init__` begins with.
 
     Records that a program makes hold numpy's numbers, paths, lists and tables as naturally as a file holds plain data.
 
@@ -324,7 +324,7 @@ def _index(target: Any, part: str, assignment: str) -> Any:
 
 
 def _place(items: Sequence[Any], part: str) -> int | None:
-    """Where an item of a list stands that is named by its `name` or by its number; None: nowhere."""
+    """Where an item of a list is that is named by its `name` or by its number; None: nowhere."""
     named = [place for place, item in enumerate(items) if isinstance(item, Mapping) and item.get("name") == part]
     if named:
         return named[0]

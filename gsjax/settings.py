@@ -40,7 +40,7 @@ PLAIN = MappingProxyType({"l1": 0.8, "dssim": 0.2, "alpha": 0.1})
 class Weights(Mapping[str, float]):
     """Weights of the loss terms by name: those of `PLAIN`, and what is named in addition; hashable.
 
-    The names are those of `gsjax.training.terms.TERMS` and of the terms that a run is handed; `gsjax.training.plan`
+    The names are those of `gsjax.training.terms.TERMS` and of a run's own terms; `gsjax.training.plan`
     checks them. A term of weight 0 is not in the compiled program.
     """
 
@@ -215,7 +215,7 @@ class Supervision:
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: determined from the rendered depth
     normal_gate: bool = False  # normals that photos of the same place contradict weigh less (`normals.consistency`)
     depth: str | None = None  # folder of measured depth, within the data set or anywhere, or "auto": as it lists them
-    depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
+    depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json next to them says
     depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
     stereo_weight: float = 0.0  # the same of multi-view stereo (`gsjax.stereo`), whose normals serve too where no maps
     # are given; 0: there is no stereo
@@ -244,7 +244,7 @@ class Model:
     max_gaussians: int = 1_000_000
     points: str | None = None  # PLY of points to start from, in the data set's coordinates; None: the data set's own
     far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
-    stereo_points: int = 0  # by multi-view stereo, beside that cloud; half of the budget at most
+    stereo_points: int = 0  # by multi-view stereo, in addition to that cloud; half of the budget at most
     sh_degree: int = 3
     pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.rendering.PIXEL_FILTERS`
     depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.rendering`

@@ -232,7 +232,7 @@ def rasterization(
         eps2d: Added to both variances of a splat, pixels^2 (the low-pass filter of 3DGS).
         sh_degree: Degree of the harmonics in `colors`, 0 to 4; None where colors are colours.
         backgrounds: Blended under each image: X channels, or those of the colours alone, and depth then has zero.
-            A number stands for all channels of the colours; for the depth where there is nothing else.
+            A number applies to all channels of the colours; for the depth where there is nothing else.
         masks: A tile that is False is not rendered: background, alpha 0.
         covars: Symmetric covariances in place of quats and scales.
         render_mode: What X holds: "RGB" the channels of `colors`; "D" depth blended like a colour; "ED" depth divided
@@ -243,7 +243,7 @@ def rasterization(
             in the median depth. Gradients then reach quats and scales too.
         camera_model: "pinhole"; "ortho", a parallel projection, `fx` and `fy` in pixels per scene unit; "fisheye",
             equidistant, up to 90 degrees off the axis. The affine map of a splat is that of its mean.
-        radial_coeffs: k1 to k4 of a fisheye lens (Kannala and Brandt, OpenCV's order). What lies past the
+        radial_coeffs: k1 to k4 of a fisheye lens (Kannala and Brandt, OpenCV's order). What is past the
             angle at which its image stops to grow is culled.
         return_median_depth: Adds `median_depths` `[C, H, W, 1]`: depth of the splat in which a pixel's light falls to
             one half, of the last one that shows where it does not, 0 where none does.

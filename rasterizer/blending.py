@@ -50,7 +50,7 @@ def unblend_splat(
 
     Args:
         t: Transmittance behind the splat.
-        behind: Sum over what lies behind of weight x lit, background and dL/dT included.
+        behind: Sum over what is behind of weight x lit, background and dL/dT included.
         lit: dL/dimage . features of the splat.
         alpha: As cut; zero where the splat is not blended.
         unclamped: Alpha before the clamp.
@@ -71,7 +71,7 @@ def unblend_splat(
         lit = lit + jnp.where(is_whole, lit_in_front, 0)
         # Of the splat that uses the light up t - stop_after counts, however opaque it is.
         passed = passed + jnp.where(is_whole | (counted <= 0), counted, t) * lit_in_front
-    # dL/dalpha = T lit - (what lies behind) / (1 - alpha); d alpha / d sigma = -unclamped alpha.
+    # dL/dalpha = T lit - (what is behind) / (1 - alpha); d alpha / d sigma = -unclamped alpha.
     differentiable = alpha > 0 if rules.straight_through else (alpha > 0) & (unclamped < rules.alpha_max)
     d_sigma = jnp.where(differentiable, (behind * inverse - t * lit) * unclamped, 0)
     return d_sigma, weight, t, behind + passed

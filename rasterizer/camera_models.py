@@ -1,4 +1,4 @@
-"""Camera models: where a point lies in the image, and what a small step in the world does there.
+"""Camera models: where a point is in the image, and what a small step in the world does there.
 
 Each is two functions, which `project` takes; it knows no model by name. Jacobians are written by hand, so
 that a derivative of a projection is plain arithmetic, on the axis of a fisheye too.

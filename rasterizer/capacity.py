@@ -34,7 +34,7 @@ def capacity_bucket(needed: int) -> int:
     """The next power of two, or the one and a half times a power of two, that holds `needed` pairs.
 
     Raises:
-        ValueError: If `needed` is the largest int32, which stands for "does not fit".
+        ValueError: If `needed` is the largest int32, which means "does not fit".
     """
     if needed >= np.iinfo(np.int32).max:
         raise ValueError(f"{needed} or more (tile, Gaussian) pairs do not fit 32-bit indices: render fewer or smaller")

@@ -86,7 +86,7 @@ def check_mode(kind: Any, **modes: Any) -> None:
 
 
 def check_lenses(camera_model: str, radial_coeffs: Array | None, near_plane: float) -> None:
-    """Raise ValueError where a lens has coefficients that its model does not read, or splats could lie behind it."""
+    """Raise ValueError where a lens has coefficients that its model does not read, or splats could be behind it."""
     if near_plane < 0:
         raise ValueError(f"{near_plane=}, expected at least 0: splats are sorted by their depth in front of the camera")
     if radial_coeffs is not None and camera_model != "fisheye":

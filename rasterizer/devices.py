@@ -54,5 +54,5 @@ def has_mosaic() -> bool:
 
 
 def wants_determinism() -> bool:
-    """Whether XLA is asked, in XLA_FLAGS, for the same bits in every run: no sums by a GPU's atomics."""
+    """Whether XLA is configured, in XLA_FLAGS, for the same bits in every run: no sums by a GPU's atomics."""
     return DETERMINISTIC.search(os.environ.get("XLA_FLAGS", "")) is not None

@@ -1,4 +1,4 @@
-"""The engines by name: which one "auto" stands for, what lists and blends by it, and how many channels at a time."""
+"""The engines by name: which one "auto" means, what lists and blends by it, and how many channels at a time."""
 
 import logging
 from collections.abc import Callable
@@ -28,7 +28,7 @@ logger = logging.getLogger("rasterizer")
 
 
 def resolve(backend: Backend) -> Backend:
-    """The backend that "auto" stands for on jax's default device."""
+    """The backend that "auto" means on jax's default device."""
     if backend != "auto":
         return backend
     device = default_device()
@@ -46,7 +46,7 @@ def _in_jnp(reason: str) -> Backend:
 
 
 def prepare() -> None:
-    """Compile what "auto" stands for on this machine in a thread; what is on disk is only loaded.
+    """Compile what "auto" means on this machine in a thread; what is on disk is only loaded.
 
     A render that needs it meanwhile waits for it.
     """
@@ -102,7 +102,7 @@ def lists_by_itself(backend: Backend = "auto") -> bool:
 
 
 def native_loops(backend: Backend = "auto") -> ModuleType | None:
-    """The native loops where a backend stands for them, else None."""
+    """The native loops where a backend uses them, else None."""
     return load_loops() if resolve(backend) == "native" else None
 
 

@@ -36,7 +36,7 @@ def image_features(
     sh_degree: int | None,
     render_mode: RenderMode,
 ) -> Array:
-    """`[C, N, X]` channels of the image: colours (from harmonics where asked) and, last, those of `depths`."""
+    """`[C, N, X]` channels of the image: colours (from harmonics where requested) and, last, those of `depths`."""
     num_cameras = viewmats.shape[0]
     parts = []
     if "RGB" in render_mode:

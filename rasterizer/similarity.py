@@ -32,7 +32,7 @@ def ssim(
     """The mean of `ssim_map` over the valid pixels and all channels; 0 where no pixel is valid.
 
     Args:
-        image: In 0..1. Invalid pixels are read as zero in both images, as what lies beyond the border is.
+        image: In 0..1. Invalid pixels are read as zero in both images, as what is beyond the border is.
         target: In 0..1.
         mask: The valid pixels; all where None.
         backend: "native" is the loops of a CPU, for float32 and up to three channels. Static.

@@ -13,12 +13,12 @@ PROGRAM = """
 import sys
 from gsjax.io.packages import EXTRAS
 
-class Blocked:
+class Blocker:
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in EXTRAS:
             raise ModuleNotFoundError(f"No module named '{name}'")
 
-sys.meta_path.insert(0, Blocked())
+sys.meta_path.insert(0, Blocker())
 """
 FEW_STEPS = """
 def range(count):

@@ -82,7 +82,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [*(["golden: 10k, 256x256, radius 6"] if GOLDEN.is_file() else []), *WORKLOADS, HEAVY]
-    parser.add_argument("--backend", choices=("native", "xla"), help="what is timed (default: what auto stands for)")
+    parser.add_argument("--backend", choices=("native", "xla"), help="what is timed (default: what auto means)")
     parser.add_argument("--only", choices=names, help="one workload")
     parser.add_argument("--processes", type=int, default=PROCESSES, metavar="N", help="of which the quickest counts")
     arguments = parser.parse_args(argv)

@@ -117,7 +117,7 @@ def measure(scene: Scene, backend: str) -> dict[str, float]:
 
 
 def gsplat_of(scene: Scene) -> Callable[[], dict[str, float]] | None:
-    """The same measurement of gsplat's CUDA kernels, or None where they are not at hand."""
+    """The same measurement of gsplat's CUDA kernels, or None where they are not installed."""
     try:
         import gsplat
         import torch

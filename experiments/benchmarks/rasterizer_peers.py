@@ -2,8 +2,8 @@
 
     python experiments/benchmarks/rasterizer_peers.py gsplat | jnp [--run RUN] [--rounds 15] [--processes 5]
 
-Ours, the backend that `auto` stands for, bins and blends the splats of one view, forward and with the gradients to all
-of them; `peers.py` says what the others do. Their images must agree. The peer's wall time and its processor time are
+Ours, the backend that `auto` means, bins and blends the splats of one view, forward and with the gradients to all
+of them; `peers.py` says what the others do. Their images must match. The peer's wall time and its processor time are
 reported in times of ours; the second holds even where other programs want the same cores. A row a process: it keeps its
 luck with memory and neighbours, so the quickest and the slowest of the day are both reported.
 

@@ -29,7 +29,7 @@ ENGINES = ("native", "xla")
 
 @contextmanager
 def traced_with(engine: str) -> Iterator[None]:
-    """Within, "auto" stands for an engine, in whatever is traced."""
+    """Within, "auto" means an engine, in whatever is traced."""
     from rasterizer import engines
 
     original = engines.resolve

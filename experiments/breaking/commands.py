@@ -211,7 +211,7 @@ def _called(folder: Path, name: str, out: str) -> float:
 
 
 def prepare(folder: Path, command: Command, out: str) -> None:
-    """Makes the folder that the output is to lie in, and what the command changes."""
+    """Makes the folder that the output is to be in, and what the command changes."""
     (folder / out).parent.mkdir(exist_ok=True)
     if command.copy_of:
         shutil.copytree(folder / command.copy_of, folder / out)

@@ -1,4 +1,4 @@
-"""Commands whose output lies on a disk that is full before it is whole."""
+"""Commands whose output is on a disk that is full before it is whole."""
 
 import random
 import sys
@@ -15,7 +15,7 @@ MOUNTED = """
 mount -t tmpfs -o size=$(($0 + 4096)) none full && head -c 4096 /dev/zero > full/taken && "$@"
 code=$?; echo >&2; find full -name ".*.gsjax-*" >&2; exit $code
 """
-"""Runs a command with a small disk in `full`, and tells what of a writer is left there afterwards."""
+"""Run a command with a small disk in `full`, and list the files that a writer has left there."""
 
 
 def rows(folder: Path) -> Rows:

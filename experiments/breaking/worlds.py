@@ -71,7 +71,7 @@ def rows(folder: Path) -> Rows:
 
 
 def _scores(folder: Path, world: str) -> list[str]:
-    """What a training comes to there, and how far its mesh lies from that of the scene at the origin."""
+    """What a training comes to there, and how far its mesh is from that of the scene at the origin."""
     if not (folder / "here_run.ply").exists():
         folder.mkdir(exist_ok=True)
         _python(folder, SCENE)

@@ -16,7 +16,7 @@ LPIPS = "lpips_vgg_3dgs"  # Pictures fed in 0..1, as the code behind the publish
 SQUEEZE = "lpips_squeeze"  # LPIPS of SqueezeNet, which no published row has.
 
 
-class Measured(NamedTuple):
+class RunScore(NamedTuple):
     """The scores of one run; None where there is none."""
 
     scene: str
@@ -62,7 +62,7 @@ def methods(schedules: Iterable[str]) -> list[str]:
 
 
 def run_folder(out: str | Path, scene: str, schedule: str, seed: int) -> Path:
-    """Where a run lies."""
+    """Where a run is."""
     return Path(out) / scene / f"{schedule}_{seed}"
 
 
@@ -79,10 +79,10 @@ def found_runs(out: str | Path) -> list[tuple[str, str, int, dict[str, Any]]]:
     return results
 
 
-def measurements(results: Iterable[tuple[str, str, int, dict[str, Any]]]) -> list[Measured]:
+def measurements(results: Iterable[tuple[str, str, int, dict[str, Any]]]) -> list[RunScore]:
     """The scores in the results of runs."""
     return [
-        Measured(
+        RunScore(
             scene,
             method_name(schedule, kind),
             seed,
@@ -94,7 +94,7 @@ def measurements(results: Iterable[tuple[str, str, int, dict[str, Any]]]) -> lis
     ]
 
 
-def average(measured: Sequence[Measured], method: str, scenes: Sequence[str]) -> Average:
+def average(measured: Sequence[RunScore], method: str, scenes: Sequence[str]) -> Average:
     """A method's row over those of the scenes that were measured: means over seeds, then over scenes.
 
     The spread is the standard deviation of the scenes' mean over the seeds that every one of them has.
@@ -106,7 +106,7 @@ def average(measured: Sequence[Measured], method: str, scenes: Sequence[str]) ->
     return Average(values, present, (min(counts), max(counts)))
 
 
-def _value(rows: Sequence[Measured], metric: str, scenes: Sequence[str]) -> Value | None:
+def _value(rows: Sequence[RunScore], metric: str, scenes: Sequence[str]) -> Value | None:
     """None unless every one of the scenes has a figure: a mean must say what it is over."""
     figures = {
         scene: {m.seed: getattr(m, metric) for m in rows if m.scene == scene and getattr(m, metric) is not None}

@@ -70,7 +70,7 @@ class Note(NamedTuple):
 
 
 NOTES = (
-    Note(PAPER, INDOOR, "The LPIPS of 0.117 is doubtful: all other methods lie between 0.182 and 0.426, and the row's"
+    Note(PAPER, INDOOR, "The LPIPS of 0.117 is doubtful: all other methods are between 0.182 and 0.426, and the row's"
          " PSNR and SSIM are near SuGaR's. A misprint, or another network, is likely."),
     Note(PAPER, None, "The paper does not say which of its two budgets this row is; it is read as 6,000 steps with R"
          " and 15,000 of refinement."),

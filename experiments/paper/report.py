@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from paper import published
-from paper.measured import METRICS, Average, Measured, Value, average
+from paper.measured import METRICS, Average, RunScore, Value, average
 from paper.published import PUBLISHED, notes_of, source
 from paper.scenes import BLENDING, INDOOR, OUTDOOR, TANKS, parts
 
@@ -44,7 +44,7 @@ class Table(NamedTuple):
     scenes: list[Block]
 
 
-def tables(measured: Sequence[Measured], methods: Sequence[str], remarks: dict[str, str] | None = None) -> list[Table]:
+def tables(measured: Sequence[RunScore], methods: Sequence[str], remarks: dict[str, str] | None = None) -> list[Table]:
     """The three tables.
 
     Args:
@@ -84,7 +84,7 @@ def _published(part: str) -> list[Row]:
 
 
 def _averages(
-    measured: Sequence[Measured], methods: Sequence[str], scenes: Sequence[str], remarks: dict[str, str]
+    measured: Sequence[RunScore], methods: Sequence[str], scenes: Sequence[str], remarks: dict[str, str]
 ) -> list[Row]:
     return [_measured_row(method, average(measured, method, scenes), scenes, remarks) for method in methods]
 

@@ -36,7 +36,7 @@ SCENES: dict[str, PaperScene] = {
     "playroom": PaperScene(BLENDING, "images"),
 }
 NESTS = ("", "360_v2", "tandt", "db", "tandt_db/tandt", "tandt_db/db")
-"""Where under a root the archives' scenes may lie: of Mip-NeRF 360, and of 3DGS's `tandt_db`."""
+"""Where under a root the archives' scenes may be: of Mip-NeRF 360, and of 3DGS's `tandt_db`."""
 
 SHARED: dict[str, Any] = {
     # The published files are of the size that is scored.
@@ -121,7 +121,7 @@ def discover(root: str | Path) -> tuple[dict[str, Path], list[str]]:
         Folders by name, in the paper's order; and a line for every folder that has a scene's name but cannot be it.
 
     Raises:
-        InputError: There is no such root, none of the scenes is there, or one of them lies twice.
+        InputError: There is no such root, none of the scenes is there, or one of them is there twice.
     """
     from gsjax.io.scenes import is_data_set
 
@@ -139,7 +139,7 @@ def discover(root: str | Path) -> tuple[dict[str, Path], list[str]]:
             elif not (folder / scene.images).is_dir():
                 faults.append(f"{folder}: has no {scene.images}/, which the paper's tables are of; left out")
             elif name in folders:
-                raise InputError(f"{root}: {name} lies there twice, as {folders[name]} and as {folder}")
+                raise InputError(f"{root}: {name} is there twice, as {folders[name]} and as {folder}")
             else:
                 folders[name] = folder
     if not folders:

@@ -1,4 +1,4 @@
-"""The contact sheet of a run: photo, render, normals before and after the regulariser and of the prior, meshes."""
+"""The contact sheet of a run: photo, render, normals before and after the regulariser and of the maps, meshes."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from gsjax.scene.colors import to_bytes
 def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:
     """Draws OUT/sheet.png of a run that has its meshes, and returns the titles of its panels.
 
-    The view is the first that was trained on: held-out views have no prior. What the run does not have (its prior, the
+    The view is the first that was trained on: held-out views have no map. What the run does not have (its map, the
     mesh of a `vanilla` run of the same seed in the same folder) has no panel.
     """
     run = out / "run"
@@ -36,9 +36,9 @@ def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:
         panels[f"normals before {regulariser}"] = surface_picture(before.depth, camera)
     panels[f"normals after {regulariser}"] = surface_picture(after.depth, camera)
     maps = map_places([f for f in frames if not f.held_out])
-    prior = run / "normals" / f"{maps[frame.name]}.png"
-    if prior.exists():
-        panels["normals of the prior"] = normal_picture(read_map(prior, frame).astype(np.float32) / 127)
+    normal_map = run / "normals" / f"{maps[frame.name]}.png"
+    if normal_map.exists():
+        panels["normals of the maps"] = normal_picture(read_map(normal_map, frame).astype(np.float32) / 127)
     panels[f"mesh with {regulariser}"] = mesh_picture(read_mesh(run / "mesh.ply"), camera)
     textured = read_textured(out / "textured.glb")
     assert textured is not None, "it was painted"

@@ -1,4 +1,4 @@
-"""What does each regulariser of a surface bring, all else and the time being equal?
+"""What does each regulariser of a surface gain, all else and the time being equal?
 
     python experiments/compare.py baselines --scene runs/demo/scene --out DIR --seeds 3
     python experiments/compare.py baselines --on bunny_plane --scene BUNNY --out DIR --seeds 3

@@ -22,7 +22,7 @@ def make_terms(extent: Callable[[], float]) -> dict[str, Term]:
     """The terms of one run by name. SuGaR's two share a table of neighbours.
 
     Args:
-        extent: Of the training cameras, scene units; asked where a term of SuGaR is compiled.
+        extent: Of the training cameras, scene units; required where a term of SuGaR is compiled.
     """
     around = Surroundings(extent)
     return {

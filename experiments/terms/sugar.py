@@ -2,7 +2,7 @@
 
 Points are drawn about the Gaussians of the view. At each, the density of the nearest Gaussians is compared with the one
 that a surface would make there, and the normal of the Gaussian that it was drawn from with those around it. They know
-no photo and no normal map. What differs from the authors' code stands in docs/deviations.md.
+no photo and no normal map. What differs from the authors' code is in docs/deviations.md.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ ON_LEVEL = 1e-6  # -2 log(density) under which a root has no slope to speak of
 
 
 class Sample(NamedTuple):
-    """A point drawn about one Gaussian, and what lies around it."""
+    """A point drawn about one Gaussian, and what is around it."""
 
     point: Array  # [3] world
     mean: Array  # [3] of its Gaussian
@@ -53,7 +53,7 @@ Misfit = Callable[[Sample], tuple[Array, Array]]
 def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch, around: Around) -> Array:
     """Mean of | f(x) - |D(pi(x)) - z(x)| | over a tenth of the extent, and of the normals' disagreement.
 
-    f = beta sqrt(-2 log d) is the distance that the density d stands for. Points are drawn from the Gaussians close to
+    f = beta sqrt(-2 log d) is the distance of the density d. Points are drawn from the Gaussians close to
     the rendered depth, and count where they read one.
 
     Differentiable to means, rotations, scales, opacities and the depth; not through who is drawn from.
@@ -128,7 +128,7 @@ def _disagreement(sample: Sample, normals: Array, thickness: Array) -> Array:
 
 
 def _kernels_around(field: Kernels, ids: Array) -> Kernels:
-    """The kernels of a row of `nearest_table`, `[k]` ids whose first is its own; that one again stands for none."""
+    """The kernels of a row of `nearest_table`, `[k]` ids whose first is its own; that one again means none."""
     again = (ids == ids[0]).at[0].set(False)
     nearby = density_field.take(field, ids)
     return replace(nearby, opacities=jnp.where(again, 0, nearby.opacities))

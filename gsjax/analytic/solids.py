@@ -26,7 +26,7 @@ _EXACT = jax.lax.Precision.HIGHEST  # of products: a GPU's matrix units would ro
 _TABLE_THICKNESS = 0.08
 _SHADOW_STEPS = 22
 _FAR = 8.0  # where a ray has left the world
-_HIT = 1e-5  # residual distance at which a ray stands on the surface
+_HIT = 1e-5  # residual distance at which a ray is on the surface
 BEFORE = 5e-5  # by so much normals are read ahead of the surface, world units
 _SUN = np.array([0.45, -0.35, 0.82]) / np.linalg.norm([0.45, -0.35, 0.82])
 _SUN_SHARPNESS = 14.0  # penumbra: 1 / the sun's apparent radius
@@ -215,7 +215,7 @@ def albedo(point: Array) -> Array:
 
 
 def visible(point: Array, camera: Camera) -> Array:
-    """`[]` bool: a `[3]` surface point lies in the image and nothing stands before it (within 0.005 units)."""
+    """`[]` bool: a `[3]` surface point is in the image and nothing is before it (within 0.005 units)."""
     point_cam = world_to_camera(point, camera)
     pixel = project(point_cam, camera)
     inside = jnp.all((pixel >= 0) & (pixel < jnp.array([camera.width, camera.height], jnp.float32)))
@@ -305,7 +305,7 @@ def _turn(a: Array, b: Array, angle: float) -> tuple[Array, Array]:
 def _length(*components: Array) -> Array:
     """Euclidean length, never less than 1e-15; there its gradient is zero.
 
-    A floor, and not a stand-in for zero that a mask takes out again: a program may compute mask and stand-in apart.
+    A lower bound, not a mask: a compiled program may round a mask and the masked value differently.
     """
     return jnp.sqrt(jnp.maximum(sum(c * c for c in components), 1e-30))
 

@@ -80,7 +80,7 @@ def _surface_nets(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         start, end = (np.moveaxis(inside, axis, 0)[s, 1:-1, 1:-1] for s in (slice(-1), slice(1, None)))
         around = np.moveaxis(index, axis, 0)
         quad = np.stack([around[:, :-1, :-1], around[:, 1:, :-1], around[:, 1:, 1:], around[:, :-1, 1:]], axis=-1)
-        # With axis 0, 1, 2 to the front the other two stand in right-, left- and right-handed order.
+        # With axis 0, 1, 2 to the front the other two are in right-, left- and right-handed order.
         outwards = start if axis != 1 else end
         pierced = start != end
         quads.append(np.where(outwards[pierced][:, None], quad[pierced], quad[pierced][:, ::-1]))

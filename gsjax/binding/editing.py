@@ -18,7 +18,7 @@ MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its p
 def rebound(mesh: Mesh, gaussians: Gaussians) -> MixedGaussians:
     """The scene of which `gsjax.binding.bound.to_mesh` and `gsjax.binding.mixed_gaussians.all_gaussians` made these.
 
-    The bound ones stand first and are all equally thick, to the bit; from the first that is not, they are free. The
+    The bound ones are first and are all equally thick, to the bit; from the first that is not, they are free. The
     vertices and faces are in the order in which they were written, as are the Gaussians.
 
     Raises:

@@ -14,7 +14,7 @@ from gsjax.rendering import Drawable, drawable
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class MixedGaussians:
-    """G bound and M free Gaussians; wherever both stand in one array or file, the bound ones come first.
+    """G bound and M free Gaussians; wherever both are in one array or file, the bound ones come first.
 
     Both have the same pixel filter and degree of harmonics: `with_free` sees to it.
     """

@@ -18,7 +18,7 @@ from gsjax.training.capacity import chosen_capacity
 
 AT_BORDER = 2.0  # Standard deviations within which a Gaussian reaches over a border of the mesh.
 OVER_BORDER = 0.05  # Share of the light of such a one, past the mesh, above which it stays.
-SAME_SURFACE = 0.05  # Share of its depth by which the mesh may lie before or behind a Gaussian that it replaces.
+SAME_SURFACE = 0.05  # Share of its depth by which the mesh may be before or behind a Gaussian that it replaces.
 
 
 def uncovered_gaussians(
@@ -34,7 +34,7 @@ def uncovered_gaussians(
     A Gaussian's light is the sum of its blending weights over all pixels that may be used. The mesh accounts for it
     where a pixel's ray meets the mesh within `SAME_SURFACE` of the depth of the Gaussian, or of the depth that all
     Gaussians together show there. One of which it accounts for less than half stays. So a thin haze over a surface
-    goes, and a surface behind a thick one; what lies beyond the mesh's rim, behind a hole or in the open before it
+    goes, and a surface behind a thick one; what is beyond the mesh's rim, behind a hole or in the open before it
     stays, whatever its size. One that reaches over an open border stays if more than `OVER_BORDER` of its light meets
     no mesh: the mesh ends where points thin out, and little light is past that.
 

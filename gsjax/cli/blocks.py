@@ -10,7 +10,7 @@ from gsjax.cli.train import add_training, training
 ABOUT = About(
     summary="train a large scene block by block, and merge the blocks into one run",
     description="""
-        Divides a scene by where its cameras stand (OUT/blocks.json), trains a run for each block
+        Divides a scene by where its cameras are (OUT/blocks.json), trains a run for each block
         (OUT/block_1 and so on) with photos from its surroundings, and merges them: OUT/run, which all
         other commands read. Called again, it continues where it stopped. Several machines share the work
         where OUT and SCENE are folders that all of them see under one path, each with --only.

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("out", metavar="OUT", help=".ply, .compressed.ply, .sog or .spz")
     add("--sh-degree", type=int, metavar="N", help="leave out harmonics above this degree, 0-4")
     box = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
-    add("--crop", type=float, nargs=6, metavar=box, help="only Gaussians whose means lie in this box of the world")
+    add("--crop", type=float, nargs=6, metavar=box, help="only Gaussians whose means are in this box of the world")
     add("--min-opacity", type=float, metavar="A", help="only Gaussians at least so opaque, 0-1")
 
 

@@ -11,8 +11,8 @@ ABOUT = About(
         Reads every photo once, and the tracks of structure from motion where there are any:
         exposure and white balance, vignetting, background, open sky, poses, transients, blur. Prints for
         each the evidence with its noise, the threshold, the decision, and why; and how far apart the
-        photos stand. Maps that `gsjax normals` made are judged too: whether photos of the same place
-        agree. Nothing is trained. What cannot be judged is off, and says so.
+        photos are. Maps that `gsjax normals` made are judged too: whether they are multi-view
+        consistent. Nothing is trained. An effect that cannot be judged is off, with the reason.
     """,
     example="gsjax diagnose scenes/garden --json garden.json",
 )

@@ -20,7 +20,7 @@ ABOUT = About(
     description="""
         Leaves out Gaussians that hang in the air, finds points of the surface along the cameras' rays,
         reconstructs a mesh from them (Poisson), trims what no point supports and colours the vertices.
-        Where the training photos exist, the vertices then move to where these agree. A file alone
+        Where the training photos exist, the vertices are then refined on them. A file alone
         has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
     """,
     example="gsjax mesh runs/garden --out garden.glb",
@@ -35,17 +35,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
     add("--method", metavar="METHOD", help="how the surface is found: one of the methods below, or auto (default):"
-        " poisson, or another that reads the given options and agrees clearly more with points that photos share, or"
-        " where there are none with the photos' mattes")  # fmt: skip
+        " poisson, or another that reads the given options and fits the matched points clearly better, or"
+        " where there are none the photos' mattes")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
     add("--trim-quantile", type=finite, metavar="Q",
         help="share (0..1) of vertices, the least supported, to cut away; default: by the points' density")  # fmt: skip
     add("--cell", type=finite, metavar="C", help="side of a voxel (tsdf), scene units")
-    add("--level", type=finite, metavar="L", help="density (0..1) at which the surface lies (poisson)")
+    add("--level", type=finite, metavar="L", help="density (0..1) at which the surface is (poisson)")
     add("--points", type=int, metavar="N", help="number of surface points to reconstruct from")
-    add("--bounds", type=finite, nargs=6, metavar=BOX, help="keep only what lies in this box, scene coordinates")
+    add("--bounds", type=finite, nargs=6, metavar=BOX, help="keep only what is in this box, scene coordinates")
     add("--background-bounds", type=finite, nargs=6, metavar=BOX,
-        help="reconstruct what lies in this box and not in --bounds too, at its own resolution")  # fmt: skip
+        help="reconstruct what is in this box and not in --bounds too, at its own resolution")  # fmt: skip
     add("--foreground-only", action="store_const", const=True, help="no background, whatever there is")
     add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")
     add("--no-photo-refine", dest="photo_refine", action="store_const", const=False,

@@ -22,7 +22,7 @@ class About(NamedTuple):
     description: str
     example: str
     packages: tuple[str, ...] = ()  # of extras, without one of which the command ends at once
-    listing: Callable[[], str] | None = None  # stands before the example; called when the help is printed
+    listing: Callable[[], str] | None = None  # is before the example; called when the help is printed
 
 
 def add_command(commands: argparse._SubParsersAction, name: str) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 from gsjax.cli.parsers import About, finite, metres
 
 ABOUT = About(
-    summary="measure between two pixels, and bring a scene or a run to metres by a known length",
+    summary="measure between two pixels, and convert a scene or a run to metres by a known length",
     description="""
         Takes what two photos show at two pixels, as the triangulated points of a scene or the
         rendered depth of a run have it, and prints the distance. With --is, lengths are in metres

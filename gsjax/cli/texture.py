@@ -8,7 +8,7 @@ ABOUT = About(
     summary="paint a mesh with what the Gaussians show",
     description="""
         Lays a mesh out in a square texture and gives every texel what the training views that see it
-        show there. Where none does, the mesh's own vertex colours stand.
+        show there. Where none does, the mesh's own vertex colours remain.
     """,
     example="gsjax texture runs/garden --mesh garden.ply --out garden.glb",
     packages=("open3d", "trimesh"),

@@ -65,7 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         " the photos), or the name of one in SCENE, as in --normals moge2; without a value, the one that `gsjax"
         " normals` made there; without the option those of multi-view stereo, or smoothed ones of the rendered"
         " depth")  # fmt: skip
-    add("--normal-axes", metavar="SIGNS", help="what brings the maps' axes to ours (x right, y down, z forward): three"
+    add("--normal-axes", metavar="SIGNS", help="axes of the maps by ours (x right, y down, z forward): three"
         " signs, as in --normal-axes=+x-y-z, or opencv, opengl, dsine, pytorch3d (default: found by"
         " comparing)")  # fmt: skip
     add("--depth", metavar="DIR", nargs="?", const="auto", help="folder of measured depth, .png of 16 bits or .npy"

@@ -19,7 +19,7 @@ from gsjax.scene.cameras import Camera, viewmat_center
 from gsjax.settings import SIMULATED
 
 NEAR_PHOTOS = 3  # that say how one between them is exposed
-SAME_PLACE = 1e-6  # squared distance, see `as_near_photos`, below which a photo stands where another does
+SAME_PLACE = 1e-6  # squared distance, see `as_near_photos`, below which a photo is where another is
 
 
 class Appearance(NamedTuple):
@@ -46,7 +46,7 @@ class Start:
     falloff: np.ndarray  # [C, 2]
     centers: np.ndarray  # [V, 3] float64 of the cameras, world
     distance: float  # scene units: the median depth of the points in all photos
-    twists: np.ndarray  # [V, 6] turns (radians) and shifts (scene units) that tracks ask of the cameras
+    twists: np.ndarray  # [V, 6] turns (radians) and shifts (scene units) by which tracks correct the cameras
     background: np.ndarray  # [(L + 1)^2, 3] SH coefficients of what is behind all
     tracked: bool  # whether tracks told any of this
 
@@ -164,7 +164,7 @@ def moves(start_values: Start, state: EffectState) -> dict[str, poses.Move]:
 
 
 def fit_colors(colors: np.ndarray, image: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """`[H, W, 3]` colours after the affine map that brings them nearest to an image's over the valid pixels."""
+    """`[H, W, 3]` colours after the affine map that makes them nearest to an image's over the valid pixels."""
     ones = np.ones((*colors.shape[:2], 1))
     basis = np.concatenate([colors, ones], axis=-1, dtype=np.float64)
     if not valid.any():

@@ -32,7 +32,7 @@ def judge(findings: "Findings") -> Evidence:
     """Judge whether light comes from no surface: much is bright, smooth and unmatched, and no wall explains it."""
     observations, compared = findings.observations, findings.bare
     if any(facts.has_matte for facts in observations.facts):
-        note = "mattes tell the object from what is behind it: --background random serves"
+        note = "the photos have mattes, for which model.background=random serves"
         return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, note)
     if not observations.tracked:
         return unknown("share of photos", THRESHOLD, "without tracks a sky is no different from a wall")
@@ -52,7 +52,7 @@ def judge(findings: "Findings") -> Evidence:
     note += "; pure white" if is_white else f"; a wall explains it x{far:.2f} as badly as infinity"
     is_on = is_white or far > sky.THRESHOLD
     note += "" if is_on else f", needs {sky.THRESHOLD}: off"
-    # Gaussians that paint pure white stand before the cameras of other photos, which validation runs do not show.
+    # Gaussians that paint pure white are before the cameras of other photos, which validation runs do not show.
     return Evidence(is_on, value, "share of photos", noise, THRESHOLD, note, is_certain=is_white)
 
 
@@ -121,5 +121,5 @@ def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effe
 
 
 def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
-    """A colour by direction stands behind all Gaussians, see `gsjax.rendering.backdrop`. No surface is made of it."""
+    """A colour by direction is behind all Gaussians, see `gsjax.rendering.backdrop`. No surface is made of it."""
     return Effect(np.asarray(coefficients, np.float32), rate, behind=backdrop.color_behind)

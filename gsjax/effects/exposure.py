@@ -64,11 +64,11 @@ def judge(findings: "Findings") -> Evidence:
     balance = float(max((values[:, channel] - values[:, 1]).std() for channel in (0, 2)))
     exposure_agrees, balance_agrees = gains.agreement
     differ = spread > THRESHOLD, balance > THRESHOLD
-    agree = exposure_agrees > SPATIAL, balance_agrees > SPATIAL
-    on = gains.held_out_ratio < HELD_OUT and any(d and a for d, a in zip(differ, agree, strict=True))
+    is_consistent = exposure_agrees > SPATIAL, balance_agrees > SPATIAL
+    on = gains.held_out_ratio < HELD_OUT and any(d and a for d, a in zip(differ, is_consistent, strict=True))
     note = (
-        f"white balance {balance:.2f} EV; error of unseen points x{gains.held_out_ratio:.2f} (below {HELD_OUT}); halves"
-        f" of the scene agree by {exposure_agrees:.2f}, in white balance {balance_agrees:.2f} (above {SPATIAL})"
+        f"white balance {balance:.2f} EV; error of unseen points x{gains.held_out_ratio:.2f} (below {HELD_OUT});"
+        f" correlation of halves {exposure_agrees:.2f}, in white balance {balance_agrees:.2f} (above {SPATIAL})"
     )
     if any(differ) and not on:
         note += "; photos differ, but not by one gain each"

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from gsjax.scene import Frame, Scene, tracks_by_name
 
-BLUR = 0.7  # pixels, standard deviation: wider windows mix what lies behind an edge into it, more so in small photos
+BLUR = 0.7  # pixels, standard deviation: wider windows mix what is behind an edge into it, more so in small photos
 DARKEST, BRIGHTEST = 12, 243  # Beyond, a pixel is clipped or nearly so, and tells no ratio:
 CLIPPED = 0.02  # most of a window that such pixels may make up
 EDGE_LINES, EDGE_REACH, EDGE_CONTRAST = 200, 6, 38.0  # rows and columns searched; pixels around an edge; levels

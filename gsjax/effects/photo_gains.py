@@ -13,7 +13,7 @@ from scipy import sparse
 ROUNDS = 10  # of reweighting
 OUTLIER = 1.5  # standard deviations beyond which a residual counts linearly (Huber)
 SHORTEST_TRACK = 3
-SHARED = 10  # observations of a photo err alike, because neighbouring keypoints lie on one surface
+SHARED = 10  # observations of a photo err alike, because neighbouring keypoints are on one surface
 _PULL = 1e-3  # observations of gain zero that every photo has in addition to its own: decides where nothing else does
 _GREY_AND_TINTS = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]).T / np.sqrt([3, 2, 6])  # orthonormal columns
 

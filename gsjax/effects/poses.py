@@ -1,4 +1,4 @@
-"""Poses that do not agree with the tracks, and cameras that training moves to where their photos say they stood."""
+"""Poses that contradict the tracks, and cameras whose poses training corrects."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,7 +26,7 @@ SIGNIFICANT = 3  # standard errors
 SHARE = 0.2  # of the photos must want to move
 FEWEST = 8  # observations of a photo
 RATE, RATE_KNOWN = 1e-3, 2.5e-4  # Adam's learning rate, of radians and of units; where tracks have told the start
-HOLD, HOLD_SHARE = 1000, 0.3  # steps that cameras wait for Gaussians to stand somewhere; of a run at most
+HOLD, HOLD_SHARE = 1000, 0.3  # steps that cameras wait for Gaussians to be somewhere; of a run at most
 LIMIT = 0.3  # of the logarithm of a focal length against the given one
 _ROUNDS, _OUTLIER = 5, 1.5  # of reweighting; standard deviations that count in full (Huber)
 
@@ -51,7 +51,7 @@ def gauss_newton_steps(observations: Observations) -> tuple[Step | None, ...]:
 
 
 def judge(findings: "Findings") -> Evidence:
-    """On where a fifth of the photos would move their points by more than a third of a pixel, and are sure of it."""
+    """On where a fifth of the photos would move their points significantly, by more than a third of a pixel."""
     steps = [step for step in findings.steps if step is not None]
     if not steps:
         return unknown("px", THRESHOLD, "needs keypoints matched in the photos")
@@ -80,7 +80,7 @@ class Move(NamedTuple):
 
 
 def twists_from_tracks(observations: Observations) -> np.ndarray:
-    """`[V, 6]` turns (radians) and shifts (scene units) that tracks ask of the photos' cameras; zero where not sure."""
+    """`[V, 6]` turns (radians) and shifts (scene units) of cameras that tracks imply; zero where not significant."""
     photo_twists = np.zeros((len(observations.frames), 6))
     for index, step in enumerate(gauss_newton_steps(observations)):
         if step is not None and step.is_sure:

@@ -1,4 +1,4 @@
-"""What training joins where a scene requires an effect: its numbers, their rate, and where it stands in a picture.
+"""What training joins where a scene requires an effect: its numbers, their rate, and where it is in a picture.
 
 A step without effects never hears of this: no argument, no state, no operation.
 """
@@ -34,7 +34,7 @@ class Effect(NamedTuple):
 
     initial: Any  # pytree of float32: its numbers at step 0
     rate: optax.Schedule  # steps done -> Adam's learning rate; zero holds the numbers still
-    camera: Callable[[Any, Camera, Array], Camera] | None = None  # (numbers, as given, which photo) -> where it stood
+    camera: Callable[[Any, Camera, Array], Camera] | None = None  # (numbers, as given, which photo) -> where it was
     behind: Callable[[Any, Camera], Array] | None = None  # (numbers, view) -> `[3]` or `[H, W, 3]` behind all Gaussians
     light: Callable[[Any, Array, Batch], Array] | None = None  # (numbers, `[H, W, 3]` before the lens, view) -> photo
     # (numbers, photo as rendered, view) -> `[H, W]` bool pixels that show the scene, `[]` what is added to the loss

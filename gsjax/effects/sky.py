@@ -31,13 +31,13 @@ FEWEST = 2  # photos
 OPEN = 0.05  # of a photo's pixels, and
 OPEN_BORDER = 0.4  # of its upper border, in the photos that say that there is a sky;
 LEAST = 0.003  # of a photo's pixels, of any region of the sky once there is one
-UPPER = 0.15  # of the elevations that a photo spans: the upper border is what lies so near to its highest
-BELOW = (-5.0, 0.05)  # degrees of elevation, and the share of a region that may lie lower
+UPPER = 0.15  # of the elevations that a photo spans: the upper border is what is so near to its highest
+BELOW = (-5.0, 0.05)  # degrees of elevation, and the share of a region that may be lower
 POINTS = (0.05, 10.0)  # of the points that a region so large would have, that a sky has at most; fewest of the latter
 ALIKE = 0.3  # of a region, which another photo has as sky in the same directions
 CELLS = 10  # to the unit, by which directions are compared: 6 degrees
 UPRIGHT = 0.5  # length of the mean of the cameras' upward axes, under which they do not agree on up
-MOST_INSIDE = 0.5  # of the photos that have a point in view, beyond which it lies in their sky
+MOST_INSIDE = 0.5  # of the photos that have a point in view, beyond which it is in their sky
 
 Masks = Mapping[str, np.ndarray]
 """Frame's name -> `[H, W]` bool, True where it shows sky; photos without sky have none."""
@@ -84,7 +84,7 @@ def judge_masks(observations: Observations, masks: Masks, compared: Parallax | N
     if not observations.tracked:
         return unknown(unit, THRESHOLD, "without tracks a sky is no different from a wall")
     if upwards(observations.frames) is None:
-        return unknown(unit, THRESHOLD, "the cameras do not agree on where up is")
+        return unknown(unit, THRESHOLD, "the cameras' upward axes are inconsistent")
     if not masks or compared is None:
         note = "no sky" if not masks else f"no sky: {PLAIN}; even or clipped in all photos, so nothing compares"
         return Evidence(False, 0.0, unit, 1.0, THRESHOLD, note)
@@ -114,7 +114,7 @@ def score(compared: Parallax) -> float:
 
 
 def regions(observations: Observations, masks: Masks) -> dict[int, np.ndarray]:
-    """Index of a photo -> `[h, w]` bool on the grid of `PhotoFacts.light`: places that lie in its mask as a whole."""
+    """Index of a photo -> `[h, w]` bool on the grid of `PhotoFacts.light`: places that are in its mask as a whole."""
     places = {}
     for index, frame in enumerate(observations.frames):
         if frame.name in masks:
@@ -138,7 +138,7 @@ def tinted(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
 
 
 def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
-    """`[3]` unit, where up is by photos that stand upright as they are stored; None where they do not agree."""
+    """`[3]` unit, where up is by photos that are upright as they are stored; None where they contradict each other."""
     viewmats = np.stack([frame.viewmat for frame in frames]).astype(np.float64)
     if np.linalg.norm(viewmats[:, 1, :3].mean(0)) < UPRIGHT:
         return None
@@ -148,8 +148,8 @@ def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
 def lies_in(points: np.ndarray, frames: Sequence[Frame], masks: Masks) -> np.ndarray:
     """`[N]` bool: which points `[N, 3]` most of the photos that have them in view show sky at, two at least.
 
-    Nothing stands on the ray of a sky's pixel, so that a point of a surface lies in no photo's sky; most must agree
-    because a mask may be wrong. A point that is not finite lies in none.
+    Nothing is on the ray of a sky's pixel, so that a point of a surface is in no photo's sky; most must confirm
+    because a mask may be wrong. A point that is not finite is in none.
     """
     finite = np.logical_and.reduce(np.isfinite(points), axis=1)
     usable = np.where(finite[:, None], points, 0).astype(np.float64)

@@ -23,7 +23,7 @@ def read_capture(root: Path, model: Path) -> Capture:
     """Photos and points of a COLMAP model; a model without points gets random ones where its cameras look.
 
     Args:
-        root: The data set; photos lie in `images/` in it or next to the model, or in it directly.
+        root: The data set; photos are in `images/` in it or next to the model, or in it directly.
         model: Folder of the model (`gsjax.io.colmap_model.find_model`).
 
     Raises:
@@ -74,7 +74,7 @@ def _observations(model: Model, image: PosedImage) -> tuple[np.ndarray, np.ndarr
 
 
 def _image_places(root: Path, model: Path) -> list[Path]:
-    """Where photos may lie, the usual place first."""
+    """Where photos may be, the usual place first."""
     above = Path(os.path.abspath(model)).parents[:2]
     return [root / "images", *(folder / "images" for folder in (model, *above)), root]
 

@@ -1,4 +1,4 @@
-"""A COLMAP model: where it lies, and what its files say.
+"""A COLMAP model: where it is, and what its files say.
 
 They are read here because pycolmap 4.2 reads past the end of a truncated file, drops every second image of an
 `images.txt` without keypoint lines, ends names at their first space, and shears the scene by a quaternion that is not

@@ -86,7 +86,7 @@ def _keypoints(line: str) -> np.ndarray | None:
         return None
     keypoints = np.empty(len(numbers), KEYPOINT)
     keypoints["xy"] = numbers[:, :2]
-    is_id = np.abs(numbers[:, 2]) < 2.0**63  # 2^64 - 1 stands for no point, as -1 does.
+    is_id = np.abs(numbers[:, 2]) < 2.0**63  # 2^64 - 1 means no point, as -1 does.
     keypoints["point"] = np.where(is_id, numbers[:, 2], NO_POINT)
     return keypoints
 

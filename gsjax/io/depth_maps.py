@@ -74,7 +74,7 @@ def open_depth_maps(scene: str | Path, source: str, unit: str | None, frames: tu
     source = USUAL_FOLDER if source == AUTO else source
     folder = next((place for place in (Path(scene) / source, Path(source)) if place.is_dir()), None)
     if folder is None:
-        raise InputError(f"--depth {source}: no such folder of depth maps, in {scene} or here")
+        raise InputError(f"depth={source}: no such folder of depth maps, in {scene} or here")
     existing_files = files_of_photos(folder, (frame.name for frame in frames), _SUFFIXES)
     if not existing_files:
         raise InputError(
@@ -94,7 +94,7 @@ def _listed_maps(listed: Mapping[str, DepthFile], unit: str | None, frames: tupl
         return _opened(folder, existing_files, unit, METRES.get(unit), frames)
     metres, *others = {listed[name].metres for name in existing_files}
     if others:
-        raise InputError(f"{first.path.parent}: its maps are listed in several units; --depth-unit names one for all")
+        raise InputError(f"{first.path.parent}: its maps are listed in several units; set supervision.depth_unit")
     if not 0 < metres < math.inf:
         raise InputError(f"{folder}: its maps are listed with a depth_unit_scale_factor that is no number above 0")
     names = {length: name for name, length in METRES.items()}
@@ -132,7 +132,7 @@ def _depth_json(folder: Path) -> dict[str, Any]:
 
 def _stated_unit(folder: Path) -> str:
     if "unit" not in (record := _depth_json(folder)):
-        raise InputError(f"{folder}: the unit of its depth is not stated; --depth-unit mm, or {UNIT_FILE} in it")
+        raise InputError(f"{folder}: its unit of depth is not stated; set supervision.depth_unit, or {UNIT_FILE} in it")
     return record["unit"]
 
 

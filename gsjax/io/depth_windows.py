@@ -89,7 +89,7 @@ def on_grid(
 def _undistorted(
     readings: tuple[np.ndarray, np.ndarray], positions: np.ndarray, window: Window
 ) -> tuple[np.ndarray, np.ndarray]:
-    """At a frame's pixels, which lie at these shares `[H, W, 2]` of the photo's sides; -1 beyond the photo."""
+    """At a frame's pixels, which are at these shares `[H, W, 2]` of the photo's sides; -1 beyond the photo."""
     height, width = readings[0].shape
     x, y = np.moveaxis(positions, -1, 0)
     column, row = (

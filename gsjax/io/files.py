@@ -184,7 +184,7 @@ def _is_about_another_file(error: OSError, temporary: Path, path: Path) -> bool:
 
 
 def _require_replaceable(path: Path) -> None:
-    """Raises InputError where a name stands for something that no file may take the place of."""
+    """Raises InputError where a name refers to something that no file may take the place of."""
     if os.path.isdir(path):
         raise unwritable(path, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
     if os.path.exists(path) and not os.path.isfile(path):

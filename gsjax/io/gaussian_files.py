@@ -1,6 +1,6 @@
 """Files of Gaussians by suffix: 3DGS's plain PLY, PlayCanvas's compressed PLY and SOG, and SPZ; and that of a run.
 
-The compressed ones have few bits for positions and sizes. Gaussians that lie far off their origin, or are very small or
+The compressed ones have few bits for positions and sizes. Gaussians that are far off their origin, or are very small or
 large in their units, are stored in local coordinates (`gsjax.scene.similarity`), which a second file states:
 `garden.spz.similarity.json`.
 """
@@ -21,7 +21,7 @@ from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.similarity import IDENTITY, Similarity, loses_in_float32, of_points, parse_similarity
 
 USUAL_SCALES = 1 / 64, 64.0  # Of a similarity: a compressed file needs no other units of its own.
-_ABOUT = "local = scale * (world - center); the file beside holds local coordinates"
+_ABOUT = "local = scale * (world - center); the file next to this one has local coordinates"
 
 
 class Format(NamedTuple):
@@ -68,7 +68,7 @@ def _local(form: Format) -> Format:
             _beside(path).unlink(missing_ok=True)
             return clipped
         if not similarity.is_possible:
-            raise InputError(f"{path}: Gaussians that lie so far off have no place in it ({similarity.summary})")
+            raise InputError(f"{path}: Gaussians that are so far off have no place in it ({similarity.summary})")
         # Both are written before either has its name: no file of local coordinates is without what tells them.
         with atomic_path(_beside(path)) as beside:
             json_files.write(beside, {"about": _ABOUT, **asdict(similarity)})
@@ -106,8 +106,8 @@ def format_of(path: str | Path) -> Format:
 def load_gaussians(path: str | Path) -> Gaussians:
     """The Gaussians of a file (`.ply`, `.compressed.ply`, `.sog`, `.spz`), or of a run folder, as numpy arrays.
 
-    They lie where the file has them, the means in float64 where float32 would lose that place. `gsjax.Scene.similarity`
-    brings them to the coordinates of a loaded scene (`gaussians_to_local`).
+    They are where the file has them, the means in float64 where float32 would lose that place. `gsjax.Scene.similarity`
+    converts them to the coordinates of a loaded scene (`gaussians_to_local`).
 
     Raises:
         InputError: There is no such file, its suffix is not known, it is damaged, or a folder holds no finished run.
@@ -130,7 +130,7 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, place: Place = UNPLAC
     Args:
         gaussians: What to write; free rows of a buffer, as training has them, are left out.
         path: Where.
-        place: What is known of the world that they lie in: stated by a comment of a PLY, and else in a second file.
+        place: What is known of the world that they are in: stated by a comment of a PLY, and else in a second file.
 
     Returns:
         How many Gaussians hold values that the format cannot reach, and were clipped to it; none in a `.ply`.

@@ -1,4 +1,4 @@
-"""Where the files of a data set's photos and masks lie: in the folder that is named, or in those that there are."""
+"""Where the files of a data set's photos and masks are: in the folder that is named, or in those that there are."""
 
 import os
 from collections import Counter

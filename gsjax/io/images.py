@@ -19,9 +19,9 @@ from gsjax.io.exif import orientation_of
 from gsjax.io.files import atomic_path
 from gsjax.io.machine import memory_for
 from gsjax.io.messages import print_first
-from gsjax.io.packages import Deferred, require
+from gsjax.io.packages import DeferredModule, require
 
-cv2: Any = Deferred("cv2")
+cv2: Any = DeferredModule("cv2")
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif", ".hif", ".avif")  # Of photos.
 _QUARTER_TURNS = 5, 6, 7, 8  # EXIF orientations that swap the sides
@@ -167,7 +167,7 @@ def decoding(path: str | Path) -> Iterator[None]:
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
     """Whether one size (width, height) can be the other resized, each side rounded down, up or to the nearest pixel."""
     (width, height), (full_width, full_height) = sorted((size, other), key=lambda sides: sides[0] * sides[1])
-    # The factors that suit a side lie between (side - 1) / full and (side + 1) / full; the two ranges must meet.
+    # The factors that suit a side are between (side - 1) / full and (side + 1) / full; the two ranges must meet.
     return (width - 1) * full_height < (height + 1) * full_width and (
         (height - 1) * full_width < (width + 1) * full_height
     )

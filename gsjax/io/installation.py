@@ -97,7 +97,7 @@ def _check_library(name: str, bounds: str) -> Finding:
 
 
 def _fits(version: str, bounds: str) -> bool:
-    """Whether a version lies within bounds such as `>=0.10.2,!=0.11.1,<0.13`."""
+    """Whether a version is within bounds such as `>=0.10.2,!=0.11.1,<0.13`."""
     comparisons = re.findall(r"(>=|<=|==|!=|<|>)([\d.]+)", bounds)
     return all(COMPARISONS[sign](_release(version), _release(bound)) for sign, bound in comparisons)
 
@@ -127,7 +127,7 @@ def check_device() -> Iterator[Finding]:
 def check_memory() -> Finding:
     """Whether there is room for a usual scene."""
     free = free_memory() / GIB
-    remedy = "close other programs, or train smaller photos: gsjax train --downscale 4"
+    remedy = "close other programs, or train smaller photos (photos.downscale)"
     return Finding("memory", free >= LEAST_MEMORY, f"{free:.1f} GiB free", remedy)
 
 

@@ -1,4 +1,4 @@
-"""Lenses, and the pinhole views that stand for them: every camera model COLMAP knows, by one general map.
+"""Lenses, and the pinhole views that represent them: every camera model COLMAP knows, by one general map.
 
 A target pixel's ray is sent through the lens model to the place in the photo where it was recorded; OpenCV reads it
 there. No model needs code of its own.
@@ -80,7 +80,7 @@ def check_lens(lens: Lens, where: str | Path) -> Lens:
     elif lens.model != "EQUIRECTANGULAR" and min(focals) < _SHORTEST_FOCAL * max(lens.width, lens.height):
         fault = "a focal length that is too short for its size; both are counted in pixels"
     elif not _sees_middle(lens):
-        fault = f"a principal point that lies {_FARTHEST_MIDDLE} times its size away"
+        fault = f"a principal point that is {_FARTHEST_MIDDLE} times its size away"
     else:
         return lens
     numbers = ", ".join(f"{value:.6g}" for value in lens.params)
@@ -88,7 +88,7 @@ def check_lens(lens: Lens, where: str | Path) -> Lens:
 
 
 def _sees_middle(lens: Lens) -> bool:
-    """Whether the principal point lies in the photo, or not so far off as no crop of a larger one has it."""
+    """Whether the principal point is in the photo, or not so far off as no crop of a larger one has it."""
     if lens.model == "EQUIRECTANGULAR":
         return True
     first = 1 if lens.model in _WITH_TWO_FOCALS else 2
@@ -139,7 +139,7 @@ def pycolmap_camera(lens: Lens):
 def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
     """The pinhole views of a lens: one, or faces of a cube, each of 90 degrees.
 
-    A full panorama (EQUIRECTANGULAR) has all six; a fisheye photo whose corners lie farther than 60 degrees from the
+    A full panorama (EQUIRECTANGULAR) has all six; a fisheye photo whose corners are farther than 60 degrees from the
     axis has what it covers of each. The one view keeps the lens's focal lengths and principal point, and its size less
     the rows and columns at the border that the photo does not cover.
 
@@ -193,7 +193,7 @@ def principal_point(lens: Lens) -> np.ndarray:
 
 
 def is_circular(lens: Lens) -> bool:
-    """Whether a fisheye photo's corners lie 90 degrees or more from the axis: its picture may be a circle within it."""
+    """Whether a fisheye photo's corners are 90 degrees or more from the axis: its picture may be a circle within it."""
     return "FISHEYE" in lens.model and _corner_angle(pycolmap_camera(lens)) == math.inf
 
 
@@ -285,7 +285,7 @@ def _covered(source: np.ndarray, K: np.ndarray, lens: Lens) -> np.ndarray:
 
 
 def _without_bare_border(valid: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns left after cutting, worst side first, until no bare pixel lies on the border.
+    """Rows and columns left after cutting, worst side first, until no bare pixel is on the border.
 
     Where that would eat more than half of a side, nothing is cut, and `valid` alone marks them.
     """

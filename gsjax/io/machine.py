@@ -100,7 +100,7 @@ def require_memory(what: str, size: float) -> None:
 
 @contextmanager
 def memory_for(what: str, size: float) -> Iterator[None]:
-    """As `require_memory`, for the block: other threads that ask meanwhile wait until there is room for theirs too."""
+    """As `require_memory`, for the block: other threads that call meanwhile wait until there is room for theirs too."""
     with _ASKING:
         _ASKING.wait_for(lambda: not _PROMISED or size <= free_memory() - sum(_PROMISED))
         require_memory(what, size)
@@ -146,4 +146,4 @@ def _commit() -> str | None:
     try:
         return subprocess.run(describe, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
     except (OSError, subprocess.SubprocessError):
-        return None  # No git, or a checkout of another user's: the versions stand without it.
+        return None  # No git, or a checkout of another user's: the versions are without it.

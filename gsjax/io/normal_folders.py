@@ -42,14 +42,14 @@ def begin(folder: Path, made_by: Mapping[str, Any]) -> dict[str, Any]:
     """
     if not is_recorded(folder):
         if any(path for path in folder.iterdir() if not path.name.startswith(".")):
-            raise InputError(f"{folder}: holds files that gsjax normals did not make; choose another folder with --out")
+            raise InputError(f"{folder}: holds files that gsjax normals did not make; choose another folder")
         return {"made_by": dict(made_by), "maps": {}}
     manifest = _read(folder)
     for key, now in made_by.items():
         before = manifest["made_by"].get(key)
         if before != now:
             raise InputError(
-                f"{folder}: its maps were made with {_difference(key, before, now)}; choose another folder with --out"
+                f"{folder}: its maps were made with {_difference(key, before, now)}; choose another folder"
             )
     sweep(folder)
     return manifest
@@ -80,7 +80,7 @@ def find(scene: str | Path, name: str) -> str:
         folders = sorted(path.parent for path in scene.glob(f"*/{MANIFEST}"))
         if len(folders) != 1:
             names = ", ".join(path.name for path in folders) or "none"
-            raise InputError(f"--normals: {scene} holds {names}; name one, or make one with gsjax normals")
+            raise InputError(f"normals: {scene} holds {names}; name one, or make one with gsjax normals")
         return str(folders[0].resolve())
     places = (scene / name, scene / f"{PREFIX}{name}")
     return next((str(place.resolve()) for place in places if os.path.isdir(place)), name)

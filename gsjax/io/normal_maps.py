@@ -1,4 +1,4 @@
-"""Normal maps from a folder: the monocular prior, as any network may have written it."""
+"""Normal maps from a folder, as any network may have written them."""
 
 import os
 from collections import Counter
@@ -25,7 +25,7 @@ _REDUCTIONS = range(1, 17)  # Whole factors by which a map may be smaller and it
 
 
 def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, Callable[[], np.ndarray]]:
-    """Readers of the frames' normal maps, each brought to its frame: one map at a time is in memory.
+    """Readers of the frames' normal maps, each resampled for its frame: one map at a time is in memory.
 
     Each map is read once now. Maps that are missing, damaged, not finite or of another view are left out and named
     (`gsjax.io.bad_items`): their frames have a map that says nothing.
@@ -122,7 +122,7 @@ def _shows_photo(file: Path, size: tuple[int, int], frame: Frame, origin: Origin
 
 
 def _read_undistorted(file: Path, frame: Frame, origin: Origin) -> np.ndarray:
-    """A map of the frame's distorted photo, read where the frame's pixels lie in it; the axes are the same."""
+    """A map of the frame's distorted photo, read where the frame's pixels are in it; the axes are the same."""
     # A larger map is averaged to the frame's scale first, or pixels between those that are read would not count.
     share = frame.width / origin.undistorted[0], frame.height / origin.undistorted[1]
     width, height = (max(1, round(side * s)) for side, s in zip(origin.photo, share, strict=True))

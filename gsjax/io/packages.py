@@ -33,7 +33,7 @@ class MissingPackageError(InputError):
     """A package of an extra, or a system library under it, is absent."""
 
 
-class Deferred:
+class DeferredModule:
     """A module that is imported when one of its attributes is first read."""
 
     def __init__(self, module: str):

@@ -30,7 +30,7 @@ def check_packable(path: str | Path, gaussians: Gaussians) -> None:
     if gaussians.sh_degree > MOST_DEGREE:
         raise InputError(
             f"cannot write {path}: it holds harmonics up to degree {MOST_DEGREE}, not {gaussians.sh_degree}; "
-            f"--sh-degree {MOST_DEGREE} leaves out the rest"
+            f"sh_degree={MOST_DEGREE} leaves out the rest"
         )
 
 
@@ -47,7 +47,7 @@ def pull_in_outliers(means: np.ndarray, reach: float) -> tuple[np.ndarray, np.nd
     """`[N, 3]` positions of which a far one takes no precision from the others, and `[N]` bool, which of them came in.
 
     The mass are those within `reach` times the distance that nine tenths keep from the middle, the distance being the
-    largest along an axis. What lies farther away comes in towards the middle, to the edge of the box of the mass.
+    largest along an axis. What is farther away comes in towards the middle, to the edge of the box of the mass.
     """
     if not len(means):
         return means, np.zeros(0, bool)

@@ -59,7 +59,7 @@ def printable_name(name: str) -> str:
 
 
 def short_name(name: str) -> str:
-    """A name without the folder `images/`, in which photos mostly lie, and without detours."""
+    """A name without the folder `images/`, in which photos mostly are, and without detours."""
     name = posixpath.normpath(name)
     return name.removeprefix("images/") or name
 

@@ -81,7 +81,7 @@ def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
     """The frames of a photo: one, or six of a panorama. Only headers of files are read.
 
     Args:
-        photo: Where it lies, and its camera; the file may be a resized copy of what the camera took.
+        photo: Where it is, and its camera; the file may be a resized copy of what the camera took.
         downscale: Factor >= 1 by which the frame is smaller than the photo; sides are rounded to whole pixels and K
             is scaled per axis by what the rounding gave.
         folder_masks: "valid" or "matte": what the photo's mask file means.

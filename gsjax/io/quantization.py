@@ -16,10 +16,10 @@ _BLOCK = 2**14  # Rows that are compared with the coarse clusters at a time.
 
 
 def codebook(values: np.ndarray) -> np.ndarray:
-    """256 sorted values that stand for all, float32; the very values where these are no more than 256.
+    """256 sorted values that represent all, float32; the very values where these are no more than 256.
 
     The range with the largest squared error about its mean is split at that mean until there are 256 (the median cut
-    of Heckbert 1982, in one dimension). A far value costs one entry, however far it lies.
+    of Heckbert 1982, in one dimension). A far value costs one entry, however far it is.
     """
     ordered = np.sort(np.asarray(values, np.float64), axis=None)
     if not len(ordered):
@@ -42,10 +42,10 @@ def nearest_labels(values: np.ndarray, entries: np.ndarray) -> np.ndarray:
 
 
 def palette(rows: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most so many rows that stand for all `[N, D]` float32, by k-means in two levels; all where they are no more.
+    """At most so many rows that represent all `[N, D]` float32, by k-means in two levels; all where they are no more.
 
     Returns:
-        `[M, D]` float32, and `[N]` int64, which of them stands for each.
+        `[M, D]` float32, and `[N]` int64, which of them represents each.
     """
     if len(rows) <= most:
         return rows, np.arange(len(rows))

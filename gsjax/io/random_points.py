@@ -4,7 +4,7 @@ import numpy as np
 
 COUNT = 30_000
 _SYNTHETIC_HALF_WIDTH = 1.3  # 3DGS, Blender scenes
-_SYNTHETIC_FAR = 10.0  # half widths: cameras that stand farther off look at something else
+_SYNTHETIC_FAR = 10.0  # half widths: cameras that are farther off look at something else
 _SEED = 0
 
 
@@ -23,7 +23,7 @@ def points_in_view(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def points_in_synthetic_cube(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As `points_in_view`, but in [-1.3, 1.3]^3, as in 3DGS, where cameras stand around that cube."""
+    """As `points_in_view`, but in [-1.3, 1.3]^3, as in 3DGS, where cameras are around that cube."""
     _, focus, reach = _looked_at(viewmats)
     if np.abs(focus).max() > _SYNTHETIC_HALF_WIDTH or not 1 < reach / _SYNTHETIC_HALF_WIDTH < _SYNTHETIC_FAR:
         return points_in_view(viewmats)

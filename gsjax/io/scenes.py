@@ -69,7 +69,7 @@ def load_scene(
             of them are held out is decided among all.
         similarity: From the coordinates of the world to those of the scene. None: by its cameras
             (`gsjax.scene.similarity.of_cameras`); it changes nothing of a scene of usual size at its origin.
-        place: Which world the files' coordinates are brought to. None: as `place.json` in the folder says, without
+        place: Which world the files' coordinates are converted to. None: as `place.json` in the folder says, without
             which it is that of the files.
         masks: Folder of the masks. None: `masks/` in the folder.
 
@@ -91,7 +91,7 @@ def load_scene(
     if similarity is None:
         similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in selection]), capture.points)
     if not similarity.is_possible:
-        raise InputError(f"{root}: its cameras stand too far off, or together, for float64 ({similarity.summary})")
+        raise InputError(f"{root}: its cameras are too far off, or together, for float64 ({similarity.summary})")
     selection = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in selection]
     points = similarity.points_to_local(capture.points)
     frames_by_photo, faults = read_usable(selection, _name, lambda photo: frames_of(photo, downscale, folder_masks))
@@ -102,7 +102,7 @@ def load_scene(
 
 
 def list_photos(root: str | Path, images: str | None = None) -> list[Photo]:
-    """The photos of a data set by name, with the files that they lie in."""
+    """The photos of a data set by name, with the files that they are in."""
     root = Path(root)
     return readable_photos(_checked_photos(root, locate_photos(root, _read_capture(root).photos, images)))
 
@@ -118,15 +118,15 @@ def _read_capture(root: Path) -> Capture:
         raise InputError(f"{root}: no such folder")
     model = colmap_model.find_model(root)
     if model is not None:
-        beside = [file for file in transforms.FILES if (root / file).is_file()]
-        if beside:
-            print_once(f"{root}: the COLMAP model {model} is read, and not {beside[0]} beside it")
+        others = [file for file in transforms.FILES if (root / file).is_file()]
+        if others:
+            print_once(f"{root}: the COLMAP model {model} is read, and not {others[0]}")
         return colmap.read_capture(root, model)
     for file, read in zip(transforms.FILES, (transforms.read_transforms, transforms.read_synthetic), strict=True):
         if (root / file).is_file():
             return read(root)
     places = ", ".join(f"{folder}/cameras.bin or .txt" for folder in ("sparse/0", "sparse", "colmap/sparse/0", "."))
-    raise InputError(f"{root}: no data set; looked for {places}, {', '.join(transforms.FILES)}")
+    raise InputError(f"{root}: no data set; searched {places}, {', '.join(transforms.FILES)}")
 
 
 def _checked_photos(root: Path, photos: Sequence[Photo]) -> list[Photo]:

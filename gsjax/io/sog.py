@@ -52,7 +52,7 @@ def write_sog(path: str | Path, gaussians: Gaussians) -> int:
 
     The steps: positions 1/65535 of the range that ln(1+|x|) has along an axis; rotations 0.0055 a component; opacities
     1/255; scales and colours as 256 values allow. Up to 1,024 Gaussians keep their own harmonics, in 256 values; of
-    more, one row of harmonics stands for four Gaussians or more.
+    more, one row of harmonics represents four Gaussians or more.
 
     Returns:
         How many Gaussians had to come in, because no other had the precision of its position.

@@ -17,7 +17,7 @@ from gsjax.io.photos import Photo
 
 AUTO, NONE = "auto", "none"
 EVERY = 8
-HINTS = {"absent": "; --hold-out takes a number, none, or a file", "empty": "; --hold-out none holds none out"}
+HINTS = {"absent": "; hold_out takes a number, none, or a file", "empty": "; hold_out=none holds none out"}
 OWN_LIST = "hold_out.txt"  # In a data set's folder: its own split.
 
 
@@ -68,7 +68,7 @@ def _stated_split(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str
     if not hold_out.isdecimal():
         return listed(Path(hold_out), names, **HINTS)
     if int(hold_out) < 2:
-        raise InputError(f"--hold-out {hold_out}: every N-th photo needs an N of at least 2")
+        raise InputError(f"hold_out={hold_out}: every N-th photo needs an N of at least 2")
     return int(hold_out)
 
 

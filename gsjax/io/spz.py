@@ -54,7 +54,7 @@ class _Header(NamedTuple):
 def write_spz(path: str | Path, gaussians: Gaussians) -> int:
     """Writes Gaussians as SPZ version 3. Positions get as many fractional bits as the farthest leaves, 23 at most.
 
-    The few that lie so far out that no other had its precision come in first (`pull_in_outliers`).
+    The few that are so far out that no other had its precision come in first (`pull_in_outliers`).
 
     The steps: logs of scales 1/16, from -10 to 95/16; opacities 1/255; degree 0 0.0261, from -3.33 to 3.33; degree 1
     1/16, higher ones 1/8, from -1 to 127/128; quaternions 0.0014. The mip filter is the format's flag for antialiasing.
@@ -80,7 +80,7 @@ def spz_bytes(gaussians: Gaussians, path: str | Path) -> tuple[bytes, int]:
     farthest = float(np.abs(means).max(initial=2.0**-23))
     bits = min(23, math.floor(math.log2(_MOST_FIXED / farthest)))
     if bits < 0:
-        raise InputError(f"cannot write {path}: a mean lies at {farthest:.3g}, SPZ reaches {_MOST_FIXED}")
+        raise InputError(f"cannot write {path}: a mean is at {farthest:.3g}, SPZ reaches {_MOST_FIXED}")
     steps = np.where(np.arange(turned.sh_rest.shape[1]) < 3, *_REST_STEPS)[:, None]
     fixed = np.rint(means * 2**bits).astype("<i4")
     numbers = {
@@ -123,7 +123,7 @@ def read_spz(path: str | Path) -> Gaussians:
     else:
         raise InputError(f"{path}: not an SPZ file")
     if header.flags & _EXTENDED and _OTHER_AXES in _extension_types(extensions):
-        raise InputError(f"{path}: tells axes of its own (SPZ_ADOBE_coordinate_system), which are not read")
+        raise InputError(f"{path}: states axes of its own (SPZ_ADOBE_coordinate_system), which are not read")
     count, bands = header.count, header.layout()[-1] // 3
     positions, opacities, colors, scales, rotations, rest = (np.frombuffer(array, np.uint8) for array in arrays)
     fixed = np.zeros((3 * count, 4), np.uint8)
@@ -191,7 +191,7 @@ def _read_gzip(path: Path, data: bytes) -> tuple[_Header, list[bytes], bytes]:
     if len(body) < ends[-1]:
         raise InputError(f"{path}: truncated, {header.count} Gaussians need {ends[-1]} bytes, it has {len(body)}")
     if len(body) > ends[-1] + _MOST_EXTENSIONS:
-        raise InputError(f"{path}: goes on for more than {_MOST_EXTENSIONS} bytes after its {header.count} Gaussians")
+        raise InputError(f"{path}: continues for more than {_MOST_EXTENSIONS} bytes after its {header.count} Gaussians")
     return header, [body[start:end] for start, end in pairwise(ends)], body[ends[-1] :]
 
 

@@ -68,7 +68,7 @@ class ArraysOnDisk:
         self._file, self._mapped, self._taken = None, np.empty(0, np.uint8), 0
 
     def __call__(self, array: np.ndarray) -> np.ndarray:
-        """The same array as it lies on the disk, read only; one that lies on a disk already is not copied."""
+        """The same array as it is on the disk, read only; one that is on a disk already is not copied."""
         if (isinstance(array, np.memmap) and array.mode is not None) or not array.nbytes:  # Copies have no mode.
             return array
         try:

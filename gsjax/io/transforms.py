@@ -50,7 +50,7 @@ def read_transforms(root: Path) -> Capture:
 def read_synthetic(root: Path) -> Capture:
     """Photos of the NeRF-synthetic layout; those of `transforms_test.json`, or else of `_val`, are held out.
 
-    Points are random in [-1.3, 1.3]^3, as in 3DGS, or where the cameras look if they do not stand around that.
+    Points are random in [-1.3, 1.3]^3, as in 3DGS, or where the cameras look if they are not around that.
     """
     train = root / FILES[1]
     photos = _with_tests(root, _photos(train, _read_json(train)))
@@ -88,7 +88,7 @@ def _photos(file: Path, meta: dict[str, Any], held_out: bool = False) -> tuple[P
 
     def photo(listed: tuple[str, Path, tuple[dict[str, Any], bool]]) -> Photo:
         name, path, (entry, is_test) = listed
-        # The photo itself may lie in another folder, where `gsjax.io.image_folders` looks for it.
+        # The photo itself may be in another folder, where `gsjax.io.image_folders` looks for it.
         return Photo(
             name=_name(file.parent, name, path),
             path=path,

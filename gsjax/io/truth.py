@@ -24,7 +24,7 @@ def load_truth(
     object); `normals` holds `cam` [H, W, 3] (camera frame, 0 where nothing); `gt_points.npz` holds `points` and
     `normals` [P, 3] (world) and `label` [P] (0 object, 1 ground), of points that cameras saw; `gt_mesh.ply` is the
     whole surface, and counts only where there are such points. Of maps, headers are read now and pixels later,
-    at the nearest pixel centre where a frame is smaller: averages of depths or normals would lie on no surface. The
+    at the nearest pixel centre where a frame is smaller: averages of depths or normals would be on no surface. The
     mesh is named and not read.
 
     Args:

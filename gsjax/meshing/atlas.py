@@ -1,4 +1,4 @@
-"""Where every triangle of a mesh lies in a square texture.
+"""Where every triangle of a mesh is in a square texture.
 
 Two ways of one signature: `charts` unfolds connected pieces (xatlas), `cells` gives every triangle half a square of
 its own, at once whatever the size of the mesh, but with seams everywhere. `unwrap` takes charts where it can.
@@ -32,7 +32,7 @@ class Atlas:
     vertices: np.ndarray  # [U] int32 the mesh's vertex at each place
     faces: np.ndarray  # [F, 3] int32 rows of uvs, in the order of the mesh's faces
     size: int  # side of the texture, texels
-    num_charts: int  # pieces that lie apart
+    num_charts: int  # pieces that are apart
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def charts(mesh: Mesh, size: int) -> Atlas | None:
 def cells(mesh: Mesh, size: int) -> Atlas:
     """Two triangles a square cell, each as large as its neighbours' texels allow.
 
-    Corners lie on centres of texels, and the legs of the two right triangles are 3 texels shorter than the cell: what
+    Corners are on centres of texels, and the legs of the two right triangles are 3 texels shorter than the cell: what
     bilinear sampling reads inside a triangle belongs to that triangle alone. Four texels are the smallest such cell.
 
     Raises:

@@ -26,12 +26,12 @@ class CleaningReport:
 def clean(
     mesh: Mesh, *, min_component_share: float = 0.01, max_faces: int | None = None
 ) -> tuple[Mesh, CleaningReport]:
-    """Merges equal vertices, takes out degenerate, duplicate, non-manifold and stray triangles, then decimates.
+    """Merge equal vertices, remove degenerate, duplicate, non-manifold and isolated triangles, then decimate.
 
     Args:
         mesh: Any mesh.
         min_component_share: Connected pieces with fewer faces than this share of the largest one are taken out.
-        max_faces: Above this number of triangles, quadric decimation brings it down. None: never.
+        max_faces: Above this number of triangles, quadric decimation reduces it. None: never.
 
     Returns:
         The mesh without unused vertices, and what was done.

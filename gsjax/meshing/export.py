@@ -1,6 +1,6 @@
 """Meshes as files: PLY, OBJ and GLB by suffix, with vertex colours or a texture, in the data set's coordinates.
 
-Where float32 would lose their place, vertices are doubles in a PLY, have all digits in an OBJ, and stand about the
+Where float32 would lose their place, vertices are doubles in a PLY, have all digits in an OBJ, and are about the
 translation of their node in a GLB. Such vertices are read as float64, all others as float32.
 
 A texture goes into OBJ, with an MTL and a PNG of the same name, into GLB, or into USDZ, which is written only. The
@@ -61,7 +61,7 @@ def write_mesh(path: str | Path, mesh: Mesh, place: Place = UNPLACED) -> None:
     Args:
         path: Its suffix says the format: .ply, .obj or .glb.
         mesh: What to write.
-        place: What is known of the world that it lies in: stated in the file, or next to an OBJ.
+        place: What is known of the world that it is in: stated in the file, or next to an OBJ.
 
     Raises:
         InputError: Unknown suffix, or the file cannot be written.

@@ -34,7 +34,7 @@ AUTO, USUAL = "auto", "poisson"  # the latter where nothing can judge the candid
 class MethodOptions:
     """The options of all methods; a method reads those that its entry of `METHODS` names. None: it chooses."""
 
-    level: float | None = None  # density at which the surface lies
+    level: float | None = None  # density at which the surface is
     points: int | None = None  # most points of the surface
     depth: int | None = None  # of the Poisson octree
     trim_quantile: float | None = None  # share of the least supported vertices to cut away
@@ -43,17 +43,17 @@ class MethodOptions:
     def __post_init__(self):
         """Check ranges; raises InputError."""
         if self.level is not None and not 0 < self.level < 1:
-            raise InputError(f"--level {self.level} is not between 0 and 1")
+            raise InputError(f"level={self.level} is not between 0 and 1")
         if self.trim_quantile is not None and not 0 <= self.trim_quantile < 1:
-            raise InputError(f"--trim-quantile {self.trim_quantile} is not in 0..1")
+            raise InputError(f"trim_quantile={self.trim_quantile} is not in 0..1")
         if self.points is not None:
             if self.points < 1:
-                raise InputError(f"--points {self.points} is below 1")
-            require_memory(f"--points {self.points}", BYTES_PER_POINT * self.points)
+                raise InputError(f"points={self.points} is below 1")
+            require_memory(f"points={self.points}", BYTES_PER_POINT * self.points)
         if self.depth is not None and not 2 <= self.depth <= 14:
-            raise InputError(f"--depth {self.depth} is not between 2 and 14")
+            raise InputError(f"depth={self.depth} is not between 2 and 14")
         if self.cell is not None and not 0 < self.cell < math.inf:
-            raise InputError(f"--cell {self.cell} is not a number above 0")
+            raise InputError(f"cell={self.cell} is not a number above 0")
 
     @property
     def set_names(self) -> frozenset[str]:
@@ -94,7 +94,7 @@ class MethodOptions:
         along = longest / self.cell
         if along > MOST_CELLS:
             raise InputError(
-                f"--cell {self.cell:g}: makes {along:,.0f} cells along the scene's longest side, above {MOST_CELLS:,}"
+                f"cell={self.cell:g}: makes {along:,.0f} cells along the scene's longest side, above {MOST_CELLS:,}"
             )
         return replace(self, cell=similarity.length_to_local(self.cell))
 
@@ -145,7 +145,7 @@ METHODS: dict[str, MeshMethod] = {
         needs=frozenset({"owners"}),
     ),
     "tsdf": MeshMethod(
-        "fusion of the rendered depth where other views and the photos' stereo agree about it, open elsewhere",
+        "fusion of the rendered depth where it is consistent with other views and stereo of the photos, open elsewhere",
         _tsdf,
         options=frozenset({"cell"}),
         needs=frozenset({"photos"}),
@@ -155,7 +155,7 @@ METHODS: dict[str, MeshMethod] = {
 
 
 def methods_of(method: str | Method, options: MethodOptions) -> dict[str, MeshMethod]:
-    """Return the method of a name, or a function that was handed in under its own name.
+    """Return the method of a name, or a function of the user under its own name.
 
     For `auto` these are all methods that read the options that are given.
 
@@ -165,21 +165,19 @@ def methods_of(method: str | Method, options: MethodOptions) -> dict[str, MeshMe
     from gsjax.meshing.mesh_method import method_name
 
     if callable(method):
-        candidates = {method_name(method): MeshMethod("handed in", lambda *_: method, needs=frozenset({"owners"}))}
+        candidates = {method_name(method): MeshMethod("of the user", lambda *_: method, needs=frozenset({"owners"}))}
     elif method == AUTO:
         candidates = {name: each for name, each in METHODS.items() if options.set_names <= each.options}
         if not candidates:
-            raise InputError(f"no method reads {' and '.join(map(_flag, sorted(options.set_names)))} together")
+            raise InputError(f"no method reads {' and '.join(sorted(options.set_names))} together")
     elif method in METHODS:
         candidates = {method: METHODS[method]}
     else:
-        raise InputError(f"--method {method} is none of {', '.join((AUTO, *METHODS))}")
+        raise InputError(f"method={method} is none of {', '.join((AUTO, *METHODS))}")
     unread = options.set_names.difference(*(each.options for each in candidates.values()))
     for name in sorted(unread):
         readers = ", ".join(each for each in METHODS if name in METHODS[each].options)
-        raise InputError(
-            f"{_flag(name)} is an option of the method {readers}; {' and '.join(candidates)} does not read it"
-        )
+        raise InputError(f"{name} is an option of the method {readers}; {' and '.join(candidates)} does not read it")
     return candidates
 
 

@@ -1,6 +1,6 @@
-"""Photometric vertex refinement: every vertex moves along its normal to where the photos that see it agree best.
+"""Photometric vertex refinement: every vertex moves along its normal to where the photos that see it match best.
 
-Gaussians are blended in the order of their centres, so that what they paint seems to lie above them: the best fit lies
+Gaussians are blended in the order of their centres, so that what they paint seems to be above them: the best fit is
 too deep, and a mesh made from it as well (docs/meshes.md). The photos have no such bias. Plane sweeping does the same
 for depth maps (Collins 1996); here the mesh gives visibility, normals and neighbours.
 """
@@ -32,7 +32,7 @@ GRAY = 1 / 255  # A disagreement that changes by less than its square over a ste
 
 
 def refine_on_photos(mesh: Mesh, frames: Sequence[Frame]) -> tuple[Mesh, dict[str, float]]:
-    """Move the vertices along their normals to where the photos agree.
+    """Move the vertices along their normals to where the photos match.
 
     A vertex that fewer than three photos see, or that has no texture, follows its neighbours. Photos may be lighter or
     darker than each other by a gain a channel. Masked pixels and those outside a matte are ignored.
@@ -166,7 +166,7 @@ def _read(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _gains(colors: np.ndarray, mean: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """`[3]` factors that bring a photo's colours `[n, 3]` closest to the mean photo's."""
+    """`[3]` factors that make a photo's colours `[n, 3]` closest to the mean photo's."""
     w = weight[:, None]
     power = np.sum(w * colors * colors, axis=0)
     return (np.sum(w * colors * mean, axis=0) / np.where(power > 0, power, 1) + (power == 0)).astype(np.float32)

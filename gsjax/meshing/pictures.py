@@ -1,6 +1,6 @@
 """Pictures of a mesh without a display: rays against triangles on the CPU.
 
-A shading is a function from what the rays hit to colours; hand in one of those below or your own.
+A shading is a function from what the rays hit to colours; pass one of those below or your own.
 """
 
 from collections.abc import Callable, Iterator, Sequence

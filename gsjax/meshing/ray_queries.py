@@ -67,10 +67,10 @@ def front_faces_only(mesh: Mesh, cast: Cast) -> Cast:
 
 
 def closest_on_mesh(mesh: Mesh, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The point of a mesh that is nearest to each query `[P, 3]`, and the triangle that it lies on.
+    """The point of a mesh that is nearest to each query `[P, 3]`, and the triangle that it is on.
 
     Open3D's search over Embree's tree, in float32 about the middle of the mesh: exact to 1e-7 of its size, wherever in
-    the world it stands. The mesh has one triangle at least.
+    the world it is. The mesh has one triangle at least.
 
     Returns:
         `[P, 3]` float64 points of the surface and `[P]` int64 indices of triangles. On an edge or a vertex any of the

@@ -94,7 +94,7 @@ class Region:
         return Region(self.box.grown(margin), None if self.without is None else self.without.grown(-margin))
 
     def corners(self, similarity: Similarity = IDENTITY) -> list:
-        """[low, high] of the box as plain numbers, in the world that `similarity` brings to these coordinates."""
+        """[low, high] of the box as plain numbers, in the world that `similarity` converts to these coordinates."""
         return similarity.points_to_world(np.stack([self.box.low, self.box.high])).tolist()
 
 
@@ -160,7 +160,7 @@ class Crop:
         outer = self.boxes[-1]
         corners = similarity.points_to_world(np.stack([outer.low, outer.high])).round(3).tolist()
         raise InputError(
-            f"--bounds: the box {corners[0]} to {corners[1]} holds none of {len(means)} Gaussians, "
+            f"bounds: the box {corners[0]} to {corners[1]} holds none of {len(means)} Gaussians, "
             f"which span {low} to {high}"
         )
 
@@ -178,10 +178,10 @@ def crop_of(bounds: Sequence[float] | None, background: Sequence[float] | None, 
     """
     if bounds is None:
         if background is not None:
-            raise InputError("--background-bounds needs --bounds: the background is what lies around that box")
+            raise InputError("background_bounds needs bounds: the background is around that box")
         return Crop((), foreground_only)
-    near = _given_box("--bounds", bounds)
-    far = None if background is None else _given_box("--background-bounds", background)
+    near = _given_box("bounds", bounds)
+    far = None if background is None else _given_box("background_bounds", background)
     return Crop((near,) if foreground_only or far is None else (near, far), foreground_only)
 
 

@@ -1,4 +1,4 @@
-"""Select the mesh method whose mesh agrees most with evidence that its Gaussians were not made from."""
+"""Select the mesh method whose mesh fits best to evidence that its Gaussians were not made from."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,16 +11,16 @@ from gsjax.meshing.track_visibility import track_rays, track_visibility
 from gsjax.scene import Scene
 from gsjax.scene.meshes import Mesh
 
-UNMET = 2 / 3  # Of what does not agree with the usual mesh, that another leaves at the most to be clearly better.
-FEWEST_LINES = 100  # of sight, that tell one method from another
+UNMET = 2 / 3  # Of the evidence that contradicts the usual mesh, the most that contradicts a clearly better one.
+FEWEST_LINES = 100  # of sight, for a comparison of methods
 
 
 class Witness(NamedTuple):
     """Evidence about a scene that does not come from its Gaussians."""
 
     says: str  # what it is, in words
-    judge: Callable[[Mesh], Mapping[str, float]]  # shares of it, of which the first is what agrees with a mesh
-    margin: float  # of all, by which another mesh than the usual one has to agree more; less than that says little
+    judge: Callable[[Mesh], Mapping[str, float]]  # shares of it, of which the first is what fits to a mesh
+    margin: float  # of that share, by which another mesh has to exceed the usual one
 
 
 def evidence_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
@@ -48,9 +48,9 @@ class Selection(NamedTuple):
 
 
 def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness) -> Selection:
-    """Return the first method, or of those that agree clearly more with the witness the one that agrees most.
+    """Return the first method, or the best fitting one of those that fit clearly better to the witness.
 
-    Clearly more is more by the witness' margin, or so much that no more than `UNMET` of what did not agree is left. A
+    Clearly better is better by the witness' margin, or if no more than `UNMET` of the contradictions is left. A
     method that finds no surface is left out, and the first that finds one is the usual. One mesh at a time exists.
 
     Raises:

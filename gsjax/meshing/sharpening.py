@@ -29,7 +29,7 @@ def sharpened(
     """One round: what every pixel lacks is spread over its texels, and each texel takes the mean (SIRT, Gilbert 1972).
 
     Pixels at edges, at flat angles, and where Gaussians float before the surface say nothing, as in `texture_mesh`.
-    The texels' mean converges to the texture whose pictures are nearest; the first two rounds bring most of what views
+    The texels' mean converges to the texture whose pictures are nearest; the first two rounds add most of what views
     nearby gain, later ones noise. Cameras, pictures and background are as of `texture_mesh`.
     """
     cast = front_faces_only(textured.mesh, ray_caster(textured.mesh))

@@ -62,7 +62,7 @@ def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
 
 
 def overlap(mesh: Mesh, silhouettes: Sequence[Silhouette]) -> Overlap:
-    """How the outlines of a mesh, in the scene's coordinates, cover those of the object, one at least."""
+    """How the silhouettes of a mesh, in the scene's coordinates, cover those of the object, one at least."""
     cast, counts = ray_caster(mesh), np.zeros(3, np.int64)
     for viewmat, K, is_object, usable in silhouettes:
         height, width = is_object.shape

@@ -1,4 +1,4 @@
-"""The texels of an atlas that lie on the surface: which point each one shows, and paint for those around them."""
+"""The texels of an atlas that are on the surface: which point each one shows, and paint for those around them."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ class Texels:
 
 
 def texels_of(mesh: Mesh, atlas: Atlas) -> Texels:
-    """Texels whose centres lie in a triangle; a triangle too small for any gets the one under its centroid if free.
+    """Texels whose centres are in a triangle; a triangle too small for any gets the one under its centroid if free.
 
     Found in bands of rows, with about a million texels in work at a time.
     """

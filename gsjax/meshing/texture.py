@@ -42,7 +42,7 @@ def texture_mesh(
     Memory: about 40 bytes a texel and 400 a triangle, one picture at a time.
 
     Args:
-        mesh: Outward triangles. Its vertex colours stand where no view sees the surface.
+        mesh: Outward triangles. Its vertex colours remain where no view sees the surface.
         cameras: One camera a view.
         pictures: What each of them sees, over black (colours times coverage); a generator will do.
         size: Side of the texture, texels.
@@ -101,7 +101,7 @@ def filled_in(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Colours times coverage, and coverage: whole where the mesh fills a pixel with all those around it.
 
-    What shines through there is the surface's; at the mesh's rim it is what lies beyond.
+    What shines through there is the surface's; at the mesh's rim it is what is beyond.
     """
     if background is None:
         return picture.colors, picture.alphas
@@ -112,12 +112,12 @@ def filled_in(
 
 
 def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """`[F]` bool: triangles that face the camera and do not lie outside its image as a whole, or behind it."""
+    """`[F]` bool: triangles that face the camera and are not outside its image as a whole, or behind it."""
     viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
     center = viewmat_center(viewmat)
     is_facing = np.sum(normals * (center - mesh.vertices[mesh.faces[:, 0]]), axis=1) > 0
     in_camera = mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
-    # A corner lies within a border of the image where its weighted pixel does: that holds on either side of z = 0.
+    # A corner is within a border of the image where its weighted pixel is: that holds on either side of z = 0.
     (x, y), z = (in_camera @ K.T).T[:2], in_camera[:, 2]
     within = np.stack([z > 0, x > 0, y > 0, x < camera.width * z, y < camera.height * z])
     return is_facing & within[:, mesh.faces].any(axis=2).all(axis=0)
@@ -126,7 +126,7 @@ def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
 def _sighting(point: Array, normal: Array, camera: Camera, layers: Array) -> Array:
     """`[4]` weighted colour and weight of one point of the surface in one view; zeros where it is not seen.
 
-    The four pixels around it are mixed bilinearly, those left out that show something else: where the mesh lies
+    The four pixels around it are mixed bilinearly, those left out that show something else: where the mesh is
     before or behind the point, where Gaussians float before it, or where nothing much is. The layers `[H, W, 6]` are
     colours times coverage, coverage, depth of the mesh, and depth of the Gaussians.
     """
@@ -164,7 +164,7 @@ def _filled_up(rows: np.ndarray) -> np.ndarray:
     return np.pad(rows, ((0, TEXELS_AT_ONCE - len(rows)), (0, 0)))
 
 
-TEXELS_PER_PIXEL = 4.0  # Two along either side: with fewer, what lies between pixels is lost (docs/meshes.md#texture).
+TEXELS_PER_PIXEL = 4.0  # Two along either side: with fewer, what is between pixels is lost (docs/meshes.md#texture).
 TEXELS_PER_TRIANGLE = 16.0  # Room for charts and the gaps between them, where triangles are smaller than pixels.
 FILLED = 0.5  # Of the square, by charts (measured: 0.49 to 0.53).
 STEP = 256  # Sides are multiples of this.
@@ -180,9 +180,9 @@ def texture_side(mesh: Mesh, cameras: Sequence[Camera], *, least: int, most: int
 
 
 def pixels_of_faces(mesh: Mesh, camera: Camera) -> np.ndarray:
-    """`[F]` pixels that a triangle covers in a view, at its centre's distance and slant; what hides it is not asked.
+    """`[F]` pixels that a triangle covers in a view, at its centre's distance and slant; what hides it is ignored.
 
-    0 of those that face away, lie outside the image or have their centre behind the camera; an image's at most.
+    0 of those that face away, are outside the image or have their centre behind the camera; an image's at most.
     """
     viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
     corners = (mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3])[mesh.faces]

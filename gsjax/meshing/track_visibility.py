@@ -1,7 +1,7 @@
 """What structure from motion says of a mesh: a photo sees a point that was matched in it, and nothing before it.
 
-The point of a track lies on a surface, and the line to it from every photo of it is free. So a mesh shows that lacks a
-wall, that has a lump before it or that lies next to it. No method of meshing reads tracks; but Gaussians begin at
+The point of a track is on a surface, and the line to it from every photo of it is free. So a mesh shows that lacks a
+wall, that has a lump before it or that is next to it. No method of meshing reads tracks; but Gaussians begin at
 their points, so a very short run may still have some there. And where there is no texture there are no tracks.
 """
 
@@ -19,7 +19,7 @@ from gsjax.scene.meshes import Mesh
 
 LEAST_PHOTOS = 3  # A match of two photos may be wrong and still fit.
 LARGEST_ERROR = 3.0  # median reprojection errors, beyond which an observation is not used
-SAME_SURFACE = 0.01  # share of the distance from the photo, up to which a mesh lies where the point does
+SAME_SURFACE = 0.01  # share of the distance from the photo, up to which a mesh is where the point is
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class TrackVisibility(NamedTuple):
 
     met: float  # at their point
     nothing: float  # the line meets no surface, however long it is made
-    before: float  # something stands in the line
+    before: float  # something is in the line
     behind: float  # the line meets a surface only beyond its point
 
 

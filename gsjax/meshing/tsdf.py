@@ -47,7 +47,7 @@ def tsdf(normals_of: NormalsOfDepth, *, voxel: float | None = None) -> Method:
 
     What no view has seen stays open, and thin parts keep their thickness down to some voxels. Pixels at edges and at
     flat angles take no part. How deep a view reaches is not an option: it is the region, by the points that its pixels
-    stand for.
+    represent.
 
     Args:
         normals_of: Normals of the depth, such as `gsjax.normals.from_depth.smoothed_depth_normals`.
@@ -121,7 +121,7 @@ def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:
         far = float(depth.max()) + voxel
         image = o3d.t.geometry.Image(o3d.core.Tensor(depth))
         colors = o3d.t.geometry.Image(o3d.core.Tensor(view.colors.astype(np.float32) / 255))
-        # This grid reads the pixel that a voxel falls in: its centres lie at +0.5, as ours do.
+        # This grid reads the pixel that a voxel falls in: its centres are at +0.5, as ours are.
         K, viewmat = (o3d.core.Tensor(np.asarray(m, np.float64)) for m in (view.camera.K, view.camera.viewmat))
         blocks = grid.compute_unique_block_coordinates(image, K, viewmat, 1.0, far, TRUNCATION)
         grid.integrate(blocks, image, colors, K, K, viewmat, 1.0, far, TRUNCATION)
@@ -138,7 +138,7 @@ def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:
 
 
 def _depth_within(view: DepthView, region: Region) -> np.ndarray:
-    """The depth of the pixels whose points lie in the region, else 0."""
+    """The depth of the pixels whose points are in the region, else 0."""
     rows, columns = np.nonzero(view.depth)
     inside = region.contains(level_set.world_points(view.camera, view.depth, rows, columns)[0])
     depth = np.zeros_like(view.depth)

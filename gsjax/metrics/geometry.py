@@ -19,7 +19,7 @@ SCORES = ("chamfer", "accuracy", "completeness", "precision", "recall", "fscore"
 """The scores of `compare_to_truth` and `compare_to_surface`."""
 
 Closest = Callable[[Mesh, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""(mesh, `[P, 3]` queries) -> `[P, 3]` nearest points of its surface and `[P]` the triangles that they lie on."""
+"""(mesh, `[P, 3]` queries) -> `[P, 3]` nearest points of its surface and `[P]` the triangles that they are on."""
 
 
 def sample_surface(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -64,11 +64,11 @@ def compare_to_truth(
     Returns:
         `chamfer` (mean of the next two), `accuracy`, `completeness`, `precision`, `recall` and `fscore` at the
         threshold, `fscore_quarter`, `fscore_half` and `fscore_double` at so much of it, `normal_consistency`,
-        `outward_share` (of the mesh's samples, those whose normal agrees in sign with the nearest true one) and
+        `outward_share` (of the mesh's samples, those whose normal has the sign of the nearest true one) and
         `threshold`.
 
     Raises:
-        NoSurfaceError: No surface of the mesh lies in the box.
+        NoSurfaceError: No surface of the mesh is in the box.
     """
     low, high, threshold = _box(truth_points, threshold)
     points, normals = _samples_in_box(mesh, low, high, samples, seed)
@@ -93,8 +93,8 @@ def compare_to_surface(
 
     Completeness and recall: from every true point that cameras saw to the triangles of the mesh. Accuracy and
     precision: from samples of the mesh to the true triangles, of those samples whose nearest true point was seen, which
-    is one that has a seen point within reach (`REACH_SHARE` of the seen points have another one so near), and that lie
-    in the box of the seen points, grown by the threshold. So the underside of the ground, what lies in it, and the
+    is one that has a seen point within reach (`REACH_SHARE` of the seen points have another one so near), and that are
+    in the box of the seen points, grown by the threshold. So the underside of the ground, what is in it, and the
     world beyond count neither for nor against.
 
     Args:
@@ -111,7 +111,7 @@ def compare_to_surface(
         As of `compare_to_truth`; normals are those of the triangles, and `seen_normals`.
 
     Raises:
-        NoSurfaceError: No surface of the mesh lies in the box, or none of it where cameras saw something.
+        NoSurfaceError: No surface of the mesh is in the box, or none of it where cameras saw something.
     """
     low, high, threshold = _box(seen_points, threshold)
     mesh, truth = _with_area(mesh), _with_area(truth)
@@ -119,7 +119,7 @@ def compare_to_surface(
     feet, there = closest(truth, points)
     is_visible = nearest(feet, seen_points)[0] <= _reach(seen_points)
     if not is_visible.any():
-        raise NoSurfaceError(f"no surface of the mesh ({mesh.num_faces} faces) lies where cameras saw the truth")
+        raise NoSurfaceError(f"no surface of the mesh ({mesh.num_faces} faces) is where cameras saw the truth")
     touched, back = closest(mesh, seen_points)
     return _scores(
         np.linalg.norm(points - feet, axis=1)[is_visible],
@@ -221,4 +221,4 @@ def _samples_in_box(mesh: Mesh, low: np.ndarray, high: np.ndarray, count: int, s
         inside = np.all((points >= low) & (points <= high), axis=1)
         if inside.any():
             return points[inside], normals[inside]
-    raise NoSurfaceError(f"no surface of the mesh ({mesh.num_faces} faces) lies in the truth's box {low} to {high}")
+    raise NoSurfaceError(f"no surface of the mesh ({mesh.num_faces} faces) is in the truth's box {low} to {high}")

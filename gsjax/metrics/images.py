@@ -38,7 +38,7 @@ def ssim(
 ) -> Float[Array, ""]:
     """Structural similarity: its mean over the valid pixels and all channels, see `rasterizer.similarity.ssim_map`.
 
-    Invalid pixels are zero in both images, exactly as what lies beyond the border is. On a CPU float32 images are
+    Invalid pixels are zero in both images, exactly as what is beyond the border is. On a CPU float32 images are
     compared in native loops. Images are in 0..1; equal ones have 1, the most.
     """
     _check(image, target, mask)

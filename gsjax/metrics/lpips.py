@@ -20,7 +20,7 @@ CHANNELS = {
     "alex": (64, 192, 384, 256, 256),
     "squeeze": (64, 128, 256, 384, 384, 512, 512),
 }
-"""Of the layers whose features count, which tell the networks apart."""
+"""Channels of the layers whose features are compared, which identify a network."""
 
 STANDARD = "lpips_vgg_3dgs"  # What tables of 3DGS and its kin call LPIPS.
 EPSILON = 1e-10  # Beside the length of a feature vector, as in the authors' code.

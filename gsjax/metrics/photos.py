@@ -24,7 +24,7 @@ from gsjax.scene.cameras import Camera
 
 NOTHING = PhotoEffects()
 Aligner = Callable[[Camera, np.ndarray, np.ndarray, Draw], Camera]
-"""(camera as given, photo `[H, W, 3]` 0..1, `[H, W]` bool pixels that count, what draws) -> where it stood."""
+"""(camera as given, photo `[H, W, 3]` 0..1, `[H, W]` bool pixels that count, what draws) -> where it was."""
 
 
 def score_images(

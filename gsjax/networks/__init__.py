@@ -1,1 +1,1 @@
-"""Networks that users bring: their records, their graphs, and their use."""
+"""Networks of users: their records, their graphs, and their use."""

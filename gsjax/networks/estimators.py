@@ -96,7 +96,7 @@ class DepthNormals:
         self.tracks = tracks_by_name(scene)
         if not self.tracks:
             raise InputError(
-                f"{scene.root}: has no tracks of structure from motion, which tell scale and shift of a depth network"
+                f"{scene.root}: has no tracks of structure from motion, which set scale and shift of a depth network"
             )
 
     def __call__(self, frame: Frame) -> tuple[np.ndarray, DepthFit]:

@@ -16,7 +16,7 @@ from gsjax.normals.axes import apply_axes, axis_signs
 
 @dataclass(frozen=True)
 class Size:
-    """The input that a photo is brought to. Sides that a graph has fixed come before any rule."""
+    """The input that a photo is resized to. Sides that a graph has fixed come before any rule."""
 
     rule: Literal["fixed", "multiple", "tokens"]
     fit: Literal["pad", "stretch"] = "pad"  # keep the photo's shape, centred, and fill the rest; or fill all with it
@@ -136,7 +136,7 @@ def read_record(
     file = Path(network)
     if not file.is_file():
         names = ", ".join(records)
-        raise InputError(f"--network {network}: neither a known network ({names}) nor a file that describes one")
+        raise InputError(f"network={network}: neither a known network ({names}) nor a file that describes one")
     data = json_files.read(file)
     if not isinstance(data, Mapping):
         raise InputError(f"{file}: holds no table of keys that describes a network")
@@ -241,7 +241,7 @@ MASK_NETWORKS: dict[str, MaskNetwork] = {
 
 
 class CanvasFit(NamedTuple):
-    """Where a photo lies in a network's input, pixels."""
+    """Where a photo is in a network's input, pixels."""
 
     canvas: tuple[int, int]  # height and width of the input
     top: int
@@ -306,7 +306,7 @@ def decode_normals(network: NormalNetwork, raw: np.ndarray) -> np.ndarray:
 
 
 def is_reliable(confidence: Confidence, values: np.ndarray) -> np.ndarray:
-    """Bool of the values' shape: where the network stands by its normals."""
+    """Bool of the values' shape: where the network is confident of its normals."""
     if confidence.kind == "probability":
         return values > confidence.bound
     return expected_error_degrees(values) < confidence.bound

@@ -40,7 +40,7 @@ class Runner:
         self._extra = _extra_inputs(network, self.graph, self._picture)
 
     def place(self, frame: Frame) -> CanvasFit:
-        """Where the frame lies in the network's input."""
+        """Where the frame is in the network's input."""
         return canvas_fit(self.network.size, frame.width, frame.height, self.fixed)
 
     def outputs(self, frame: Frame, pixels: Pixels, names: Sequence[str]) -> list[np.ndarray]:

@@ -66,11 +66,11 @@ def chosen_classes(network: MaskNetwork, names: Sequence[str] | None) -> tuple[s
     """
     things = tuple(name for name in network.classes if name != BACKGROUND)
     if names is None and len(things) != 1:
-        raise InputError(f"--classes: the network knows {', '.join(network.classes)}; name those to mask out")
+        raise InputError(f"classes: the network knows {', '.join(network.classes)}; name those to mask out")
     classes = things if names is None else tuple(names)
     for name in classes:
         if name not in network.classes:
-            raise InputError(f"--classes {name}: the network knows {', '.join(network.classes)}")
+            raise InputError(f"classes={name}: the network knows {', '.join(network.classes)}")
     if not classes or (network.kind != "probability" and set(classes) == set(network.classes)):
-        raise InputError(f"--classes {','.join(classes)}: must be some of {', '.join(network.classes)}, and not all")
+        raise InputError(f"classes={','.join(classes)}: must be some of {', '.join(network.classes)}, and not all")
     return classes

@@ -1,4 +1,4 @@
-"""Foreign normal maps brought to our axes: x right, y down, z forward in the camera, towards it."""
+"""Foreign normal maps converted to our axes: x right, y down, z forward in the camera, towards it."""
 
 import itertools
 import re
@@ -9,7 +9,7 @@ import numpy as np
 from gsjax.errors import InputError
 
 NAMED_AXES = {"opencv": "+x+y+z", "opengl": "+x-y-z", "dsine": "-x-y-z", "pytorch3d": "-x-y+z"}
-"""What networks and programs are known to write, as signs that bring it to our axes: opencv Omnidata, Metric3D and
+"""What networks and programs are known to write, as signs that convert it to our axes: opencv Omnidata, Metric3D and
 MoGe's arrays; opengl Marigold and MoGe's pictures; dsine DSINE, StableNormal and Lotus."""
 
 # The ways to mirror axes, up to the sign of the whole.
@@ -24,9 +24,7 @@ def axis_signs(axes: str) -> np.ndarray:
     """
     match = re.fullmatch("([+-])x([+-])y([+-])z", NAMED_AXES.get(axes, axes))
     if match is None:
-        raise InputError(
-            f"--normal-axes {axes}: expected three signs such as +x-y-z, or one of {', '.join(NAMED_AXES)}"
-        )
+        raise InputError(f"normal_axes={axes}: expected three signs such as +x-y-z, or one of {', '.join(NAMED_AXES)}")
     return np.array([float(f"{sign}1") for sign in match.groups()], np.float32)
 
 
@@ -73,21 +71,21 @@ def axes_verdict(votes: np.ndarray) -> str:
     for_others = is_decisive & (votes[:, 1] > MAJORITY * total)
     for_these = is_decisive & (votes[:, 0] > MAJORITY * total)
     if for_others.any():
-        # Of those that serve about as well, the one that mirrors least: what cannot be told is not accused.
+        # Of those that fit about as well, the one that mirrors least.
         best = for_others & (votes[:, 1] >= 0.9 * votes[for_others, 1].max())
         other = int(np.argmin(np.where(best, (OTHER_SIGNS < 0).sum(axis=-1), 4)))
-        share = f"{votes[other, 1]:,} of the {total[other]:,} pixels that can tell"
+        share = f"{votes[other, 1]:,} of the {total[other]:,} decisive pixels"
         return f"doubtful: mirrored by {written_axes(OTHER_SIGNS[other])} {share} would face the camera, as they must"
     if for_these.all():
         return "confirmed: any other mirroring would turn surfaces away from the camera"
     rest = ", ".join(written_axes(signs) for signs in OTHER_SIGNS[~for_these])
-    return f"not contradicted; these views cannot tell them from a mirroring by {rest}"
+    return f"not contradicted; these views do not exclude a mirroring by {rest}"
 
 
 def detect_axes(
     maps: Iterable[np.ndarray], references: Iterable[np.ndarray], *, pixels_per_map: int = 4000
 ) -> tuple[np.ndarray, float, float]:
-    """Which axes of foreign normal maps point the other way: the mirroring that agrees best with reference normals.
+    """Which axes of foreign normal maps point the other way: the mirroring that fits reference normals best.
 
     Maps are taken one at a time, a random sample of each is kept. They must show surfaces that face left or right: all
     else looks the same whichever way x points. So up to a third of the sample each is kept for surfaces that face

@@ -99,7 +99,7 @@ def share_compared(apart: float | None) -> float:
 
     Terms that compare photos make a consistent surface flat and cost no PSNR. On an inconsistent one, such as a bare
     wall, they do (experiments/results/price_on_photos.md). The angle decides, not the evidence: between photos that
-    stand side by side even a flat floor has none. The share is 1 up to `FULL_WEIGHT` degrees and where they are
+    are side by side even a flat floor has none. The share is 1 up to `FULL_WEIGHT` degrees and where they are
     unknown, and 0 from `ZERO_WEIGHT` degrees on.
     """
     return 1.0 if apart is None else float(np.clip((ZERO_WEIGHT - apart) / (ZERO_WEIGHT - FULL_WEIGHT), 0, 1))
@@ -190,7 +190,7 @@ def _error(own: np.ndarray, others: np.ndarray, visible: np.ndarray, apart: np.n
 
     The larger of two estimates for independent errors: the angle to the geometric median of the neighbours' normals
     and, with `OWN_VOTE`, its own; and the (lower) median angle to one neighbour, over the root of two, as both may be
-    wrong. The first alone would accept a map that only faces its camera, where cameras stand around the place.
+    wrong. The first alone would accept a map that only faces its camera, where cameras are around the place.
 
     `own` are `[P, 3]` world normals of the pixels, `others` `[M, P, 3]` those of the neighbours at the same places, and
     `apart` `[M, P]` degrees between the two.

@@ -85,7 +85,7 @@ def fitted_depth(values: np.ndarray, fit: DepthFit, kind: Kind) -> np.ndarray:
 def surface(depth: Array, camera: Camera) -> Array:
     """`[H, W]` 1 where fitted depth shows a surface; 0 without depth, at slopes over `STEEPEST`, and next to them.
 
-    A network draws the edge of an object as a slope from it to what lies behind, some pixels wide.
+    A network draws the edge of an object as a slope from it to what is behind, some pixels wide.
     """
     is_known = depth > 0
     inverse = jnp.where(is_known, 1 / jnp.where(is_known, depth, 1), 0)
@@ -130,7 +130,7 @@ def _reweighted(rows: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 def sparse_depth(rays: np.ndarray, depths: np.ndarray, K: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Camera z of a view's pixels, where points around them lie on a plane.
+    """Camera z of a view's pixels, where points around them are on a plane.
 
     Args:
         rays: `[P, 2]` x/z and y/z of the points in the camera.

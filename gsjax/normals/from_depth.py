@@ -66,11 +66,11 @@ def _difference(points: Array, valid: Array, axis: int) -> tuple[Array, Array]:
 
 @partial(jax.jit, static_argnames="reduction")
 def smoothed_depth_normals(depth: Array, alphas: Array, camera: Camera, *, reduction: int = 1) -> Array:
-    """Normals of a noisy depth map, smooth on surfaces and sharp at their edges: the prior of one who has no network.
+    """Normals of a noisy depth map, smooth on surfaces and sharp at their edges: supervision without a network.
 
     Inverse depth is linear in the pixel wherever the surface is a plane. So a plane is fitted to it in a Gaussian
     window about every pixel; and every pixel takes its plane from the windows around it, its own and 20 shifted ones,
-    weighted by how well each fits (the idea of the Kuwahara filter): at an edge those that lie on one side of it.
+    weighted by how well each fits (the idea of the Kuwahara filter): at an edge those that are on one side of it.
     Colours play no part: the edges of a texture are not those of a shape.
 
     With a `reduction` all this is done on means over blocks, so that the windows grow and the cost does not; every
@@ -111,7 +111,7 @@ def chosen_reduction(views: Iterable[tuple[Array, Array, Camera]]) -> int:
         views: Depth and alphas `[H, W]` as `smoothed_depth_normals` reads them, and the camera, of some views.
 
     Returns:
-        1, 2, 4, 8 or 16; at least 32 blocks lie across the smallest view.
+        1, 2, 4, 8 or 16; at least 32 blocks are across the smallest view.
     """
     covered, turned = zip(*(_coverage_and_turns(*view) for view in views), strict=True)
     levels = min(map(len, covered))
@@ -233,7 +233,7 @@ def _shifts() -> np.ndarray:
 
 
 def _nearest_planes(planes: Array, misfits: Array, values: Array, size: int) -> tuple[Array, Array]:
-    """Planes of blocks brought to pixels: the mean of the 9 blocks about each, by distance and by misfit there.
+    """Planes of blocks resampled to pixels: the mean of the 9 blocks about each, by distance and by misfit there.
 
     Planes `[rows, columns, 3]` have the value at the block's centre and slopes per block; those that are returned,
     `[H, W, 3]`, slopes per pixel. The other array `[H, W]` is the best block's misfit.

@@ -88,7 +88,7 @@ def blocks(
     planned = _planned(Path(scene), Path(out).resolve(), _without_effects(config.as_record(Settings, settings)), count)
     for number in only:
         if not 1 <= number <= count:
-            raise InputError(f"--only {number}: there are blocks 1 to {count}")
+            raise InputError(f"only={number}: there are blocks 1 to {count}")
     for number in only or range(1, count + 1):
         run = planned.run(number)
         if not runs.is_finished(run):
@@ -108,11 +108,11 @@ def _without_effects(settings: Settings) -> Settings:
         raise InputError(f"photos.subset={settings.photos.subset}: each block chooses its photos")
     if settings.effects.sky is not None:
         raise InputError(
-            f"--sky {settings.effects.sky}: the colours behind one block would not fit those behind the next"
+            f"sky={settings.effects.sky}: the colours behind one block would not fit those behind the next"
         )
     if settings.effects.names not in (AUTO, NONE):
         raise InputError(
-            f"--effects {settings.effects.names}: what blocks find of effects would not fit at their borders"
+            f"effects={settings.effects.names}: what blocks find of effects would not fit at their borders"
         )
     return settings.replace(effects={"names": NONE})
 
@@ -126,7 +126,7 @@ def _planned(scene: Path, out: Path, settings: Settings, count: int) -> Blocks:
     record = json_files.read(file, _SHAPE)
     for name, value in {**request, "blocks": count}.items():
         if {**record, "blocks": len(record["cells"])}[name] != value:
-            raise InputError(f"{out}: was begun with another {name}; choose another folder with --out")
+            raise InputError(f"{out}: was begun with another {name}; choose another folder")
     cells = tuple(Cell(_limits(cell["low"], -math.inf), _limits(cell["high"], math.inf)) for cell in record["cells"])
     sized = settings.replace(photos={"downscale": record["downscale"]})
     photos = tuple(tuple(cell["photos"]) for cell in record["cells"])
@@ -152,7 +152,7 @@ def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
     for number, cell in enumerate(cells, 1):
         block = np.array(names)[photos_of(cell, places, points)].tolist()
         if (left := len(set(block) - held_out)) < FEWEST:
-            raise InputError(f"--blocks {count}: block {number} would have {left} photos to train on; make fewer")
+            raise InputError(f"blocks={count}: block {number} would have {left} photos to train on; make fewer")
         records.append({"low": cell.low, "high": cell.high, "photos": block})
     return {"downscale": chosen_downscale(settings.photos, loaded.frames), "directions": along, "cells": records}
 
@@ -167,7 +167,7 @@ def _points_of_photos(scene: Scene, names: Sequence[str], along: np.ndarray) -> 
 
 
 def _merge(planned: Blocks, out: Path) -> None:
-    """Write the run folder of all blocks: of each, the Gaussians whose means lie in its own cell."""
+    """Write the run folder of all blocks: of each, the Gaussians whose means are in its own cell."""
     settings, count = planned.settings, len(planned.cells)
     parts = [_own(planned, number) for number in range(1, count + 1)]
     gaussians = concatenate(parts)

@@ -44,14 +44,14 @@ def clean(
     """Take out of Gaussians what is no part of the scene.
 
     *Giants* fill the picture of the nearest camera, or without cameras are as large as the scene. *Isolated* are small
-    clusters apart from all others. *Cropped* is what lies outside the given bounds.
+    clusters apart from all others. *Cropped* is what is outside the given bounds.
 
     Args:
         source: Run folder, or a file of Gaussians.
         out: File to write, of any format. None: the file itself, of a run `gaussians.ply`.
         scene: Data set whose cameras to look from, where a file is given.
-        crop_to_cameras: Keep only what lies in the sphere that the cameras stand around.
-        box: `(x0, y0, z0, x1, y1, z1)`: keep only what lies in it, world.
+        crop_to_cameras: Keep only what is in the sphere that the cameras surround.
+        box: `(x0, y0, z0, x1, y1, z1)`: keep only what is in it, world.
         sphere: `(x, y, z, radius)`: likewise.
 
     Returns:
@@ -72,11 +72,11 @@ def clean(
         require_apart(out, source, scene)
     with _kept_alone(out):
         if in_place and _original(out).exists() and not _is_unfinished(out):
-            raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_original(out)}")
-        box = None if box is None else given_box("--box", box)
-        sphere = None if sphere is None else given_numbers("--sphere", sphere, 4).tolist()
+            raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` restores {_original(out)}")
+        box = None if box is None else given_box("box", box)
+        sphere = None if sphere is None else given_numbers("sphere", sphere, 4).tolist()
         if sphere is not None and not sphere[3] > 0:
-            raise InputError(f"--sphere: its radius {sphere[3]:g} is not above 0")
+            raise InputError(f"sphere: its radius {sphere[3]:g} is not above 0")
         sweep_beside(out)
         whole = load_gaussians(source)
         result = open_result(source, scene=scene) if is_run(source) or scene is not None else None
@@ -99,7 +99,7 @@ def clean(
 
 
 def undo(source: str | Path) -> dict[str, Any]:
-    """Bring back what `clean` has taken out of a file in place.
+    """Restore what `clean` has taken out of a file in place.
 
     Args:
         source: The file, or the run folder.
@@ -171,7 +171,7 @@ def _outside(
     box: Sequence[float] | None,
     sphere: Sequence[float] | None,
 ) -> np.ndarray:
-    """`[N]` bool: whose means lie outside the region."""
+    """`[N]` bool: whose means are outside the region."""
     means = np.asarray(whole.means, np.float64)
     outside = np.zeros(len(means), bool)
     if box is not None:
@@ -180,10 +180,10 @@ def _outside(
         outside |= np.linalg.norm(means - sphere[:3], axis=1) > sphere[3]
     if crop_to_cameras:
         if result is None:
-            raise InputError(f"{source}: comes without cameras; --crop-to-cameras needs a run, or --scene")
+            raise InputError(f"{source}: comes without cameras, and a crop to cameras needs a run or a scene")
         focus = outliers.looked_at(_cameras(result))
         if focus is None:
-            raise InputError(f"{source}: its cameras do not look at one place; give --box or --sphere")
+            raise InputError(f"{source}: its cameras have no common focus; give a box or a sphere")
         middle, radius = focus
         outside |= np.linalg.norm(np.asarray(result.gaussians.means, np.float64) - middle, axis=1) > radius
     return outside

@@ -60,7 +60,7 @@ def compare(folders: Iterable[str | Path], out: str | Path) -> Path:
 
 
 def pooled_by_seed(facts: Sequence[RunFacts]) -> dict[str, list[RunFacts]]:
-    """Runs by a label: those of one data set whose settings are the same but for the seed lie together.
+    """Runs by a label: those of one data set whose settings are the same but for the seed are together.
 
     The label is the first run's folder; with as much of its path as differs from the others'.
     """

@@ -28,10 +28,10 @@ def convert(
     """Read Gaussians, keep what is wanted, write them; both formats by the suffixes.
 
     Args:
-        source: .ply, .compressed.ply, .sog or .spz; a run folder stands for its gaussians.ply.
+        source: .ply, .compressed.ply, .sog or .spz; a run folder means its gaussians.ply.
         out: Likewise, but for the folder.
         sh_degree: Harmonics above this degree, 0-4, are left out. None: all are kept.
-        crop: `(x0, y0, z0, x1, y1, z1)`: only Gaussians whose means lie in this box of the world, scene units, its
+        crop: `(x0, y0, z0, x1, y1, z1)`: only Gaussians whose means are in this box of the world, scene units, its
             sides included. The world is that of a PLY, whatever the file. None: all of them.
         min_opacity: Only Gaussians at least so opaque, 0-1. None: all of them.
 
@@ -50,10 +50,10 @@ def convert(
     require_apart(out, source)
     sweep_beside(out)
     if sh_degree is not None and not 0 <= sh_degree <= 4:
-        raise InputError(f"--sh-degree {sh_degree} is not between 0 and 4")
-    crop = None if crop is None else given_box("--crop", crop)
+        raise InputError(f"sh_degree={sh_degree} is not between 0 and 4")
+    crop = None if crop is None else given_box("crop", crop)
     if min_opacity is not None and not 0 <= min_opacity <= 1:
-        raise InputError(f"--min-opacity {min_opacity:g} is not between 0 and 1")
+        raise InputError(f"min_opacity={min_opacity:g} is not between 0 and 1")
     gaussians = load_gaussians(source)
     is_kept = np.ones(gaussians.num_gaussians, bool)
     if crop is not None:
@@ -62,7 +62,7 @@ def convert(
     if min_opacity is not None:
         is_kept &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
     if not is_kept.any() and len(is_kept):
-        raise InputError(f"{source}: none of its {len(is_kept)} Gaussians is wanted by --crop and --min-opacity")
+        raise InputError(f"{source}: none of its {len(is_kept)} Gaussians is left by crop and min_opacity")
     remaining = take(gaussians, is_kept)
     if sh_degree is not None:
         remaining = replace(remaining, sh_rest=remaining.sh_rest[:, : (sh_degree + 1) ** 2 - 1])

@@ -43,7 +43,7 @@ def diagnose(
         InputError: The data set cannot be used, or a file not be written.
     """
     if json is not None and Path(json).suffix != ".json":
-        raise InputError(f"--json {json}: the name of the file must end in .json, its pictures will end in .png")
+        raise InputError(f"json={json}: the name of the file must end in .json, its pictures will end in .png")
     for output in () if json is None else (Path(json), Path(json).with_suffix(".png")):
         require_apart(output, scene, images)
     loaded = load_scene(scene, downscale=downscale, images=images)
@@ -92,7 +92,7 @@ def apart_line(apart: dict[str, Any]) -> str:
     """Return the record of `apart` in words, with the consequence for training."""
     photos, angle, is_tried = (apart[key] for key in ("photos", "degrees", "tried"))
     line = f"photos: {photos} to train on, " + (
-        "no tracks tell how far apart" if angle is None else f"{angle:.0f} degrees apart, seen from what they show"
+        "unknown angle, no tracks" if angle is None else f"{angle:.0f} degrees apart, seen from what they show"
     )
     if is_tried:
         return f"{line}: presets try whether holding training back helps (sparse_views)"

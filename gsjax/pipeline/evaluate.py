@@ -36,7 +36,7 @@ def evaluate(
     zooms: Sequence[float] = (),
     scene_folder: str | Path | None = None,
 ) -> dict[str, Any]:
-    """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
+    """Score a finished run on its held-out views and, where its data set has truth, its geometry.
 
     Args:
         run: Run folder.

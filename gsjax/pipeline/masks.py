@@ -30,7 +30,7 @@ def masks(
 ) -> dict[str, Any]:
     """Write a mask for every photo: 0 where it shows one of the classes, 255 elsewhere.
 
-    The network sees each photo upright, as its EXIF orientation has it; the mask lies as the file's pixels do, as
+    The network sees each photo upright, as its EXIF orientation has it; the mask is as the file's pixels do, as
     `gsjax.io.scenes` and `gsjax.io.sfm` read masks.
 
     Args:
@@ -83,5 +83,5 @@ def _sources(photos: Path, images: str | None) -> list[SourcePhoto]:
     if is_data_set(photos):
         return [read_source_photo(photo.path, photo.name) for photo in list_photos(photos, images)]
     if images is not None:
-        raise InputError(f"--images {images}: goes with a data set, and {photos} is a folder of photos")
+        raise InputError(f"images={images}: goes with a data set, and {photos} is a folder of photos")
     return list_source_photos(photos)

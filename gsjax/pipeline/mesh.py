@@ -62,17 +62,17 @@ def mesh(
     """Extract the mesh of a run, or of any file of Gaussians.
 
     The surface is seen, and its colours are taken, only where the photos are not masked. Where the training photos
-    are at hand its vertices are then refined on them (`gsjax.meshing.photo_refine`).
+    exist its vertices are then refined on them (`gsjax.meshing.photo_refine`).
 
     Args:
         source: Run folder or .ply.
         out: Mesh file; .ply, .obj or .glb.
         method: A name in `gsjax.meshing.methods.METHODS`; or a function, as `gsjax.extract_mesh` takes it. Its
-            pictures have owners. "auto": of the methods that read the given options, the one whose mesh agrees most
-            with the tracks of structure from motion (`gsjax.meshing.track_visibility`), or without tracks with the
+            pictures have owners. "auto": of the methods that read the given options, the one whose mesh fits best
+            to the tracks of structure from motion (`gsjax.meshing.track_visibility`), or without tracks with the
             photos' mattes (`gsjax.meshing.silhouettes`); "poisson" where there is neither, and of a run with an entropy
             phase, which is made for the level set.
-        level: Density at which the surface lies ("poisson"). None: 0.3.
+        level: Density at which the surface is ("poisson"). None: 0.3.
         points: Most surface points ("poisson"). None: an eighth of the pixels, 200,000 to 10 million.
         depth: Of the Poisson octree (the same). None: chosen from the sizes of the Gaussians.
         trim_quantile: Share of the least supported vertices to cut away (the same). None: adaptive.
@@ -84,7 +84,7 @@ def mesh(
         faces: Most triangles of the foreground, and of the background.
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them. Of a run
             folder, where its data set is, if it was moved.
-        photo_refine: Whether vertices move to where the photos agree.
+        photo_refine: Whether vertices are refined on the photos.
         fill_holes: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`).
         keep_floaters: Whether Gaussians that hang in the air (`gsjax.rendering.outliers`) take part. They always do
             where no camera of a photo is known.
@@ -102,7 +102,7 @@ def mesh(
     require_apart(out, source, scene)
     sweep_beside(Path(out))
     if faces < 1:
-        raise InputError(f"--faces {faces} is below 1")
+        raise InputError(f"faces={faces} is below 1")
     options = MethodOptions(level, points, depth, trim_quantile, cell)
     methods = methods_of(method, options)
     request = Request(options, crop_of(bounds, background_bounds, foreground_only), faces)
@@ -137,7 +137,7 @@ def _open(source: Path, scene: str | Path | None, *, with_photos: bool) -> tuple
     try:
         return result, scene_of_run(source)
     except InputError as error:
-        print(f"mesh: goes on without its photos: {error}", file=sys.stderr)
+        print(f"mesh: continues without its photos: {error}", file=sys.stderr)
         return result, None
 
 
@@ -154,7 +154,7 @@ def _to_local(request: Request, result: Result) -> Request:
 
 
 def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshViews) -> Selection:
-    """Return the only method; of several, that which agrees most with the data set, or the usual one without it.
+    """Return the only method; of several, that which fits best to the data set, or the usual one without it.
 
     They are judged by meshes of a tenth of the views and of the points.
     """

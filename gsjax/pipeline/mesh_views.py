@@ -72,7 +72,7 @@ class MeshViews:
             if self.data is None:
                 return {}
             depths = depths_of_photos(self.data, MOST_COMPARED)
-            print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
+            print(f"mesh: multi-view consistent depth: {depths.line}", file=sys.stderr)
             maps = stereo_maps(depths)
         numbers = {self.result.names[index]: number for number, index in enumerate(self.training)}
         return {numbers[name]: each.depth for name, each in maps.items() if name in numbers}

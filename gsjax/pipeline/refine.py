@@ -94,7 +94,7 @@ def refine(
         runs.require_free(out)
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
-        raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
+        raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name another mesh")
     if resume and scene_folder is not None:
         relocate_scene(out, scene_folder)
     task = _prepare(settings, trained, source, Path(out), scene_of_run(run, scene=scene_folder))

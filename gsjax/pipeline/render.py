@@ -130,35 +130,35 @@ def picture_stems(names: Sequence[str]) -> list[str]:
 def _check(out: Path, views: Views, path: str | Path | None, of_films: dict[str, object]) -> None:
     if is_video(out):
         if path is None and views in ("all", "held_out"):
-            raise InputError(f"--out {out}: a film needs --turntable, --through-photos or --path")
+            raise InputError(f"out={out}: a film needs a path: turntable, through photos, or a file")
         return
     if path is not None or views == "through_photos":
-        raise InputError(f"--out {out}: a film ends in {', '.join(SUFFIXES)}")
+        raise InputError(f"out={out}: a film ends in {', '.join(SUFFIXES)}")
     for name, value in of_films.items():
         if value is not None:
-            raise InputError(f"--{name} is for films, and --out {out} does not end in {', '.join(SUFFIXES)}")
+            raise InputError(f"{name} is for films, and out={out} does not end in {', '.join(SUFFIXES)}")
 
 
 def _count(seconds: float, fps: float, size: tuple[int, int] | None) -> int:
     """The number of pictures of a film."""
     for name, value, most in (("seconds", seconds, 3600), ("fps", fps, 240)):
         if not 0 < value <= most:
-            raise InputError(f"--{name} {value:g} is not above 0 and {most} at most")
+            raise InputError(f"{name}={value:g} is not above 0 and {most} at most")
     count = max(1, round(seconds * fps))
     if count > MOST_PICTURES:
-        raise InputError(f"--seconds {seconds:g} --fps {fps:g} are {count} pictures, more than {MOST_PICTURES}")
+        raise InputError(f"seconds={seconds:g} and fps={fps:g} are {count} pictures, more than {MOST_PICTURES}")
     if size is not None and not all(SIDES[0] <= side <= SIDES[1] and side % 2 == 0 for side in size):
-        raise InputError(f"--size {size[0]}x{size[1]}: sides are even, and between {SIDES[0]} and {SIDES[1]} pixels")
+        raise InputError(f"size={size[0]}x{size[1]}: sides are even, and between {SIDES[0]} and {SIDES[1]} pixels")
     return count
 
 
 def _open(source: Path, up: tuple[float, float, float] | None) -> _Source:
     if up is not None and not (np.any(up) and np.isfinite(up).all()):
-        raise InputError(f"--up {' '.join(f'{axis:g}' for axis in up)} is no direction")
+        raise InputError(f"up={' '.join(f'{axis:g}' for axis in up)} is no direction")
     if source.is_file() and is_mesh_file(source):
         return _open_mesh(source, np.asarray(UP if up is None else up))
     if up is not None:
-        raise InputError(f"{source}: is no mesh; --up is for meshes, up in a run is up in its photos")
+        raise InputError(f"{source}: is no mesh; up is for meshes, up in a run is up in its photos")
     result = open_result(source)
     draw = partial(gallery.pictures, background=result.background, depth_mode=result.depth_mode)
     return _Source(

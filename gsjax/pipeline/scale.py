@@ -51,7 +51,7 @@ def scale(source: str | Path, between: Sequence[Pixel], metres: float | None = N
     source = Path(source)
     first, second = between
     if metres is not None and not 1 / LARGEST < metres < LARGEST:
-        raise InputError(f"--is: {metres:g} m is no length of a scene")
+        raise InputError(f"is: {metres:g} m is no length of a scene")
     scene = None if is_run(source) else load_scene(source)
     point_at, place = (
         (points_of_run(source), Run.open(source).place) if scene is None else (points_of_scene(scene), scene.place)
@@ -61,7 +61,7 @@ def scale(source: str | Path, between: Sequence[Pixel], metres: float | None = N
     if metres is None or (place.is_known and abs(distance / metres - 1) < SAME):
         return report
     if not distance > 0:
-        raise InputError(f"--between: {first} and {second} show one point; two are needed for a length")
+        raise InputError(f"between: {first} and {second} show one point; two are needed for a length")
     factor = metres / distance
     scaled = place.rescale(factor, f"{metres:g} m between {first} and {second}")
     if scene is None:

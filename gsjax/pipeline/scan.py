@@ -70,7 +70,7 @@ def scan(
     settings, refinement = config.as_record(Settings, settings), config.as_record(Refinement, refinement)
     source, out = Path(source), Path(out)
     if reconstruction and is_data_set(source):
-        options = " and ".join(f"--{name.replace('_', '-')}" for name in reconstruction)
+        options = " and ".join(reconstruction)
         raise InputError(f"{source}: is a data set, whose cameras are known; {options}: for photos or a video only")
     request = {
         "source": str(source.resolve()),
@@ -128,7 +128,7 @@ def _require_scan(out: Path) -> None:
     if out.is_dir() and not (out / "report.json").exists():
         for path in out.iterdir():
             if path.name != LOCK and not is_temporary(path):
-                raise InputError(f"{out}: this folder is not empty and holds no scan; choose another with --out")
+                raise InputError(f"{out}: this folder is not empty and holds no scan; choose another")
 
 
 def _report_so_far(out: Path, request: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def _report_so_far(out: Path, request: Mapping[str, Any]) -> dict[str, Any]:
         previous = report.get("asked", {})
         for key in {**request, **previous}:
             if previous.get(key) != request.get(key):
-                raise InputError(f"{out}: was begun with another {key}; choose another folder with --out")
+                raise InputError(f"{out}: was begun with another {key}; choose another folder")
         return report
     report = {"asked": dict(request), "stages": {}}
     json_files.write(file, report)

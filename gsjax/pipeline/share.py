@@ -59,11 +59,11 @@ def share(
     """
     source, out = Path(source), Path(out)
     if out.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"--out {out}: a page ends in .html")
+        raise InputError(f"out={out}: a page ends in .html")
     if max_gaussians is not None and max_gaussians < 1:
-        raise InputError(f"--max-gaussians {max_gaussians} is not 1 or more")
+        raise InputError(f"max_gaussians={max_gaussians} is not 1 or more")
     if sh_degree is not None and not 0 <= sh_degree <= MOST_DEGREE:
-        raise InputError(f"--sh-degree {sh_degree} is not between 0 and {MOST_DEGREE}")
+        raise InputError(f"sh_degree={sh_degree} is not between 0 and {MOST_DEGREE}")
     require_apart(out, source, mesh)
     sweep_beside(out)
     mesh_file = _mesh_of(source) if mesh is None else Path(mesh)

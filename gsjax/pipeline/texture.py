@@ -43,7 +43,7 @@ def texture(
     require_apart(out, source, mesh, scene)
     sweep_beside(Path(out))
     if size is not None and not SIZES[0] <= size <= SIZES[1]:
-        raise InputError(f"--size {size} is not between {SIZES[0]} and {SIZES[1]}")
+        raise InputError(f"size={size} is not between {SIZES[0]} and {SIZES[1]}")
     result = open_result(source, scene=scene)
     surface = result.similarity.mesh_to_local(read_mesh(mesh))
     cameras, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))

@@ -21,7 +21,7 @@ from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.metrics.photos import score_images
 from gsjax.pipeline.training_journal import TrainingJournal
-from gsjax.planning.preparation import Loaded, Prepared, RunRequest, load, plan_run, prepare, report
+from gsjax.planning.preparation import LoadedScene, RunRequest, StepInputs, load, plan_run, prepare, report
 from gsjax.planning.start import first_state
 from gsjax.planning.warm_start import copy_normals, shared_steps
 from gsjax.rendering.engine import computes_on_cpu
@@ -59,8 +59,8 @@ def train(
 ) -> dict[str, Any]:
     """Train Gaussians on a data set.
 
-    Several processes that were joined (`gsjax.runs.processes`) call it alike; the first alone writes. A run that was
-    handed terms, a rule or effects is handed them again to resume; the manifest names them.
+    Several processes that were joined (`gsjax.runs.processes`) call it alike; the first alone writes. A run with
+    own terms, a rule or effects needs them again to resume; the manifest names them.
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
@@ -109,7 +109,7 @@ def train(
             return _write(run, prepared, planned, state, seconds)
 
 
-def _open_run(request: RunRequest, loaded: Loaded, planned: Plan) -> Path:
+def _open_run(request: RunRequest, loaded: LoadedScene, planned: Plan) -> Path:
     settings = config.to_dict(request.settings)
     if request.resumed:
         return runs.reopen(request.out, settings, scene=request.scene)
@@ -128,7 +128,7 @@ def _open_run(request: RunRequest, loaded: Loaded, planned: Plan) -> Path:
 def _fit(
     run: Path,
     request: RunRequest,
-    prepared: Prepared,
+    prepared: StepInputs,
     planned: Plan,
     steps_in_common: int | None,  # with the run of a warm start
     observe: Callable[[Progress], None] | None,
@@ -154,7 +154,7 @@ def _fit(
 
 
 def _work(
-    prepared: Prepared,
+    prepared: StepInputs,
     planned: Plan,
     optimizer: Optimizer,
     mesh: Mesh | None,
@@ -200,7 +200,7 @@ def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainS
     return from_first(state)
 
 
-def _write(run: Path, prepared: Prepared, planned: Plan, state: TrainState, seconds: float) -> dict[str, Any]:
+def _write(run: Path, prepared: StepInputs, planned: Plan, state: TrainState, seconds: float) -> dict[str, Any]:
     """Write Gaussians, cameras and effects, score the held-out views, and report."""
     effects = prepared.effects
     photo_effects = effects.photo_effects(state.effects)

@@ -32,7 +32,7 @@ class TrainingJournal(Journal):
         effects: ChosenEffects,
         whole: Callable[[TrainState], TrainState] = lambda state: state,
     ):
-        """Begin at `step`; `whole` brings a state to one device."""
+        """Begin at `step`; `whole` gathers a state on one device."""
         super().__init__(run, "train", planned.steps, step, seconds)
         self.plan, self.scene, self.chosen = planned, scene, effects
         self._pace, self.whole, self._held = Pace(), whole, False

@@ -1,6 +1,6 @@
 """A large scene in blocks: cells of the ground between cameras, and the photos that each of them needs.
 
-Cells are cut where cameras stand: in halves of as many cameras, across the longer side, again and again. They fill all
+Cells are cut where cameras are: in halves of as many cameras, across the longer side, again and again. They fill all
 of space, as the outer ones have no end, so that every Gaussian is one block's and no other's.
 """
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from gsjax.errors import InputError
 
-MARGIN = 0.15  # of a cell's side, as far as cameras stand there: cameras so far beyond the border belong to it too
-SEEN = 0.3  # of what a photo sees: with so much in a cell, it is trained there, wherever its camera stands
+MARGIN = 0.15  # of a cell's side, as far as cameras are there: cameras so far beyond the border belong to it too
+SEEN = 0.3  # of what a photo sees: with so much in a cell, it is trained there, wherever its camera is
 FEWEST = 4  # photos that are trained on in a block
 
 
@@ -25,7 +25,7 @@ class Cell:
     high: tuple[float, float] = (math.inf, math.inf)
 
     def holds(self, places: np.ndarray) -> np.ndarray:
-        """`[N]` bool, whether `[N, 2]` places along the directions lie in it; a border is the upper cell's."""
+        """`[N]` bool, whether `[N, 2]` places along the directions are in it; a border is the upper cell's."""
         return np.logical_and.reduce((places >= self.low) & (places < self.high), axis=1)
 
     def grown(self, places: np.ndarray) -> "Cell":
@@ -49,7 +49,7 @@ def cut(places: np.ndarray, count: int) -> list[Cell]:
     """
     apart = len(np.unique(places, axis=0))
     if apart < count:
-        raise InputError(f"--blocks {count}: the cameras stand at {apart} places")
+        raise InputError(f"blocks={count}: the cameras are at {apart} places")
     return _cut(places, count, Cell())
 
 

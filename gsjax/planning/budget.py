@@ -99,7 +99,7 @@ def budgeted(
     if run_settings.schedule.steps < FEWEST_STEPS:
         least = math.ceil((spent + FEWEST_STEPS * whole / settings.schedule.steps) / (1 - RESERVED))
         raise InputError(
-            f"--budget of {seconds:g} s is too short: even {FEWEST_STEPS} steps take {least} s here in all"
+            f"a budget of {seconds:g} s is too short: even {FEWEST_STEPS} steps take {least} s here in all"
         )
     return (
         run_settings,

@@ -38,7 +38,7 @@ def measured_depth(scene: Scene, supervision: Supervision) -> MeasuredDepth | No
     frames = scene.train_frames
     if supervision.depth is None:
         if listed := sum(frame.depth is not None for frame in frames):
-            print_once(f"{scene.root}: lists depth maps of {listed} of {len(frames)} photos; --depth trains on them")
+            print_once(f"{scene.root}: lists depth maps of {listed} of {len(frames)} photos; see supervision.depth")
         return None
     maps = open_depth_maps(scene.root, supervision.depth, supervision.depth_unit, frames)
     factor, scale_note = _factor(scene, maps)
@@ -74,7 +74,7 @@ def _factor(scene: Scene, maps: DepthMaps) -> tuple[float, str]:
     if metres is None:
         return own * scene.place.scale, "taken as it is"
     if len(ratios) < FEWEST:
-        return own * metres, "no points tell the scale of the scene, which is taken to be in metres"
+        return own * metres, "no points determine the scale of the scene, which is taken to be in metres"
     scale = middle / (own * metres)  # units of the world to a metre
     agreement = f"{len(ratios):,} points differ from it by {100 * spread:.1f} %"
     if abs(scale - 1) < ALIKE:

@@ -16,7 +16,7 @@ from gsjax.effects.appearance import Start, appearances, moves, simulations, sta
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import HOLD, RATE, Effect, Effects, EffectState
 from gsjax.gaussians import Gaussians
-from gsjax.planning.validation import Observe, Validated, Variant, compared
+from gsjax.planning.validation import Observe, ValidationGain, Variant, compared
 from gsjax.rendering import backdrop, gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Frame, batches, with_pixels
@@ -64,7 +64,7 @@ class EffectRuns:
         state = variant.train(training_frames, state, observe)
         return self._pictures(state, start_values, names)
 
-    def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> Validated:
+    def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> ValidationGain:
         """The gain of an effect on the held-out pixels, from the pictures of both variants."""
         data = batches.read_batches(self.frames, scale=self._scale)
         photos, valid, held_out = [], [], []

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from gsjax.effects.observations import Observations
 from gsjax.planning.effect_runs import EffectRuns, Initial, held_out_blocks, without_blocks
 from gsjax.planning.pace import FIXED_COST, relative_cost
-from gsjax.planning.validation import Validated, image_scale, short_settings
+from gsjax.planning.validation import ValidationGain, image_scale, short_settings
 from gsjax.scene import Frame, preload
 from gsjax.settings import Model, Phase, Settings
 from gsjax.training.plan import Plan
@@ -26,7 +26,7 @@ SHORTEST = 600  # steps of a run that is validated
 SIDE = 96  # pixels of the longest photo, about: the smaller, the sooner a run shows what remains to be explained
 PHOTOS, NEIGHBORS = 48, 6  # that validation runs are trained on, in groups of consecutive ones, which overlap
 RENDERED = 0.3  # of a step's time, rendering a photo
-Validate = Callable[[Observations, Sequence[str]], dict[str, Validated]]
+Validate = Callable[[Observations, Sequence[str]], dict[str, ValidationGain]]
 """(photos, proposed effects) -> the gain of each proposed."""
 
 
@@ -57,7 +57,7 @@ class EffectValidation:
     extent: float  # camera extent, scene units
     initial: Initial
 
-    def __call__(self, observations: Observations, proposed: Sequence[str]) -> dict[str, Validated]:
+    def __call__(self, observations: Observations, proposed: Sequence[str]) -> dict[str, ValidationGain]:
         """The gain of each proposed effect, added to those before it that passed.
 
         Empty where the run is too short.
@@ -84,8 +84,8 @@ class EffectValidation:
 def select(
     proposed: Sequence[str],
     predict: Callable[[Sequence[str]], list[np.ndarray]],
-    compare: Callable[[list[np.ndarray], list[np.ndarray]], Validated],
-) -> dict[str, Validated]:
+    compare: Callable[[list[np.ndarray], list[np.ndarray]], ValidationGain],
+) -> dict[str, ValidationGain]:
     """Forward selection: every effect is compared with those that passed before it.
 
     `predict` draws pictures by the effects that are simulated; `compare` is of pictures without an effect and with it.

@@ -19,7 +19,7 @@ from gsjax.effects.observations import observe
 from gsjax.effects.simulation import Effects, EffectState, learning_rate
 from gsjax.errors import InputError
 from gsjax.planning.effect_validation import Validate
-from gsjax.planning.validation import WORTH, Validated
+from gsjax.planning.validation import WORTH, ValidationGain
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Scene
 from gsjax.settings import AUTO, EFFECTS, NONE, SIMULATED, named_effects
@@ -140,7 +140,7 @@ def choose_effects(
     is_on = selection if not is_auto else {name for name in PROPOSED if findings.effects[name].on}
     behind = findings.effects["background"]
     if behind.on and _is_laid(findings, plan, is_on & {*SIMULATED}):
-        note = f"off: --background {plan.background} lays that colour there; {behind.note}"
+        note = f"off: the background is {plan.background}; {behind.note}"
         laid = {"background": behind._replace(on=False, note=note)}
         findings = replace(findings, effects=findings.effects | laid)
     if is_auto:
@@ -156,7 +156,7 @@ def choose_effects(
     if skies:
         print(f"train: {sky.summary(skies, scene.frames)}", file=sys.stderr)
     elif with_sky:
-        raise InputError(f"--sky: the photos of {scene.root} show no sky; --sky DIR takes masks of it")
+        raise InputError(f"sky: the photos of {scene.root} show no sky; effects.sky takes a folder of masks")
     simulated = [*names, *(["sky"] if skies else [])]
     print(f"train: {_line(findings, simulated, validated)}", file=sys.stderr)
     evidence = {
@@ -169,7 +169,7 @@ def choose_effects(
         return ChosenEffects(skies=skies, evidence=evidence)
     if "background" in names and any(facts.has_matte for facts in findings.observations.facts):
         raise InputError(
-            f"--effects {request}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
+            f"effects={request}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
             " leave background out"
         )
     start_values = start(findings.observations, names, skies)
@@ -185,11 +185,11 @@ def _rate(plan: Plan) -> Callable[..., optax.Schedule]:
 
 def _decided(
     findings: Diagnosis, proposed: Sequence[str], validate: Validate | None, before: Mapping[str, Any] | None
-) -> tuple[set[str], dict[str, Validated]]:
+) -> tuple[set[str], dict[str, ValidationGain]]:
     """The proposed effects that are simulated, and the gain of each that was validated."""
     if before is not None:
         stored = before.get("validated", {})
-        return {*before["simulated"]}, {name: Validated(**each) for name, each in stored.items()}
+        return {*before["simulated"]}, {name: ValidationGain(**each) for name, each in stored.items()}
     certain = {name for name in proposed if findings.effects[name].is_certain}
     if "sky" in certain:
         certain |= {"background"}  # what its term uncovers
@@ -202,7 +202,7 @@ def _decided(
 
 
 def _noted(
-    findings: Diagnosis, proposed: Sequence[str], selection: Collection[str], validated: Mapping[str, Validated]
+    findings: Diagnosis, proposed: Sequence[str], selection: Collection[str], validated: Mapping[str, ValidationGain]
 ) -> dict[str, Evidence]:
     """The evidence of the proposed effects, with the validated gain and the decision in its note."""
     notes = {}
@@ -216,7 +216,7 @@ def _noted(
     return notes
 
 
-def _line(findings: Diagnosis, simulated: Sequence[str], validated: Mapping[str, Validated]) -> str:
+def _line(findings: Diagnosis, simulated: Sequence[str], validated: Mapping[str, ValidationGain]) -> str:
     """Which effects are simulated and which of the proposed ones are not, each with its validated gain."""
 
     def text_of(name: str) -> str:
@@ -235,7 +235,7 @@ def _with_given(findings: Diagnosis, skies: sky.Masks) -> Diagnosis:
     """The diagnosis with a sky that was given instead of what the photos show."""
     evidence = sky.judge_masks(findings.observations, skies)
     sky_evidence = evidence._replace(
-        on=True, note=f"given by --sky: {sky.summary(skies, findings.observations.frames)}"
+        on=True, note=f"given by masks: {sky.summary(skies, findings.observations.frames)}"
     )
     return replace(findings, sky=skies, effects=findings.effects | {"sky": sky_evidence})
 

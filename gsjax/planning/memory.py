@@ -20,18 +20,18 @@ FEWEST = 10_000  # Gaussians, below which no run is brought
 GIB = 2**30
 
 
-class Fitted(NamedTuple):
-    """A run as this machine's memory bears it."""
+class MemoryFit(NamedTuple):
+    """A run that fits into this machine's memory."""
 
     plan: Plan  # perhaps of fewer Gaussians
-    keep: Keep  # where photos and maps lie
+    keep: Keep  # where photos and maps are
     lines: tuple[str, ...]  # what is slower or less, for the user
 
 
-def fit_to_memory(planned: Plan, frames: Sequence[Frame], folder: Path, *, may_lower: bool) -> Fitted:
-    """The run as this machine's memory bears it.
+def fit_to_memory(planned: Plan, frames: Sequence[Frame], folder: Path, *, may_lower: bool) -> MemoryFit:
+    """Fit a run into this machine's memory.
 
-    Photos and maps that do not fit next to the Gaussians lie on the disk of `folder`, from where each step reads its
+    Photos and maps that do not fit next to the Gaussians are on the disk of `folder`, from where each step reads its
     own: the numbers are the same. Where the Gaussians alone do not fit, fewer may grow (`may_lower`), though not in a
     run that is resumed. A GPU's own memory is not considered.
     """
@@ -40,24 +40,24 @@ def fit_to_memory(planned: Plan, frames: Sequence[Frame], folder: Path, *, may_l
     keep, lines = keep_photos(photo_bytes(planned, frames), frames, rows, folder, free)
     most = max(int((free - PROGRAMS - _step_bytes(frames)) / A_ROW), FEWEST)
     if not (lines and may_lower and most < rows):
-        return Fitted(planned, keep, lines)
+        return MemoryFit(planned, keep, lines)
     fewer = f"memory: at most {most:,} Gaussians, instead of max_gaussians={rows:,}"
-    return Fitted(replace(planned, max_gaussians=most), keep, (*lines, fewer))
+    return MemoryFit(replace(planned, max_gaussians=most), keep, (*lines, fewer))
 
 
 def keep_photos(
     photos: int, frames: Sequence[Frame], rows: int, folder: Path, free: int
 ) -> tuple[Keep, tuple[str, ...]]:
-    """Where so many bytes of photos and their maps lie: in memory if they fit there, else on the disk, with a line.
+    """Where so many bytes of photos and their maps are: in memory if they fit there, else on the disk, with a line.
 
     `rows` are Gaussians in the same memory, of which so many bytes are free.
     """
     gaussians = A_ROW * rows
     if PROGRAMS + _step_bytes(frames) + gaussians + photos <= free:
         return in_memory, ()
-    beside = f" and Gaussians up to {gaussians / GIB:.3g}" if rows else ""
+    more = f" and Gaussians up to {gaussians / GIB:.3g}" if rows else ""
     return ArraysOnDisk(folder), (
-        f"memory: {max(free, 0) / GIB:.3g} GiB are free, photos and maps take {photos / GIB:.3g}{beside}:"
+        f"memory: {max(free, 0) / GIB:.3g} GiB are free, photos and maps take {photos / GIB:.3g}{more}:"
         " each step reads its photo from the disk",
     )
 

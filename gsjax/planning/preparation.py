@@ -19,7 +19,7 @@ from gsjax.planning import sparse_view_validation
 from gsjax.planning.depth_supervision import measured_depth, stereo_supervision
 from gsjax.planning.effect_validation import EffectValidation
 from gsjax.planning.effects import ChosenEffects, Inspection, choose_effects, inspect_photos
-from gsjax.planning.memory import Fitted, fit_to_memory
+from gsjax.planning.memory import MemoryFit, fit_to_memory
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.sparse_views import ENTRY, Decision, Gain, for_sparse_views
@@ -102,7 +102,7 @@ def plan_run(
 
 
 @dataclass(frozen=True)
-class Loaded:
+class LoadedScene:
     """The data set at the size of the run, its photos unread."""
 
     scene: Scene
@@ -111,7 +111,7 @@ class Loaded:
     split: Split
 
 
-def load(request: RunRequest) -> Loaded:
+def load(request: RunRequest) -> LoadedScene:
     """Read the data set, and try the run's own terms on the sizes of its photos."""
     downscale = request.resumed and request.resumed.plan["downscale"]
     scene, downscale, line = at_size(
@@ -121,18 +121,18 @@ def load(request: RunRequest) -> Loaded:
     if request.origin and request.has_checkpoint:
         require_photos_of_effects(scene, split, request.origin.manifest, run=request.origin.folder)
     check_terms(request.plan, scene.train_frames)
-    return Loaded(scene, downscale, line, split)
+    return LoadedScene(scene, downscale, line, split)
 
 
 @dataclass(frozen=True)
-class Prepared:
+class StepInputs:
     """The photos, maps and effects that the steps read."""
 
     scene: Scene  # its photos in memory or on the disk, without the blurred ones
     start: Scene  # from whose points the Gaussians start
     extent: float  # of the training cameras, scene units
     plan: Plan  # for these photos and this machine, without effects
-    keep: Keep  # where photos and maps lie
+    keep: Keep  # where photos and maps are
     normals: NormalSource
     depths: Depths | None  # measured, or of stereo
     stereo: StereoMaps  # that supervise the run
@@ -140,7 +140,7 @@ class Prepared:
     notes: dict[str, Any]  # entries of the manifest
 
 
-def prepare(request: RunRequest, loaded: Loaded) -> Prepared:
+def prepare(request: RunRequest, loaded: LoadedScene) -> StepInputs:
     """Read photos and maps, as far as memory allows, and choose the effects."""
     settings, maps = request.settings, request.settings.supervision
     memory, sparse = _size(request, loaded.scene)
@@ -179,10 +179,10 @@ def prepare(request: RunRequest, loaded: Loaded) -> Prepared:
         **request.pieces,
     }
     notes = {name: note for name, note in notes.items() if note}
-    return Prepared(scene, start, extent, planned, memory.keep, normals, depths, stereo.maps, effects, notes)
+    return StepInputs(scene, start, extent, planned, memory.keep, normals, depths, stereo.maps, effects, notes)
 
 
-def _size(request: RunRequest, scene: Scene) -> tuple[Fitted, Decision | None]:
+def _size(request: RunRequest, scene: Scene) -> tuple[MemoryFit, Decision | None]:
     """The plan for so many photos, so far apart, in this machine's memory."""
 
     def validate(change: Callable[[Plan], Plan]) -> Gain:
@@ -215,7 +215,7 @@ def read_photos(scene: Scene, keep: Keep) -> Scene:
 def _own_normals_line(planned: Plan) -> str | None:
     if planned.normals is not None or "normals" not in planned.needs:
         return None
-    return "no maps of normals (--normals): the run's own depth stands in for a network"
+    return "no maps of normals (supervision.normals): the rendered depth replaces a network"
 
 
 def _opening_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:

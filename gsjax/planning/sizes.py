@@ -62,7 +62,7 @@ def training_extent(scene: Scene) -> float:
     if len(frames) == 1 and len(scene.frames) > 1:
         raise InputError(
             f"{scene.root}: of its {len(scene.frames)} photos one is left to train on, which is too few;"
-            " --hold-out none trains on all"
+            " photos.hold_out=none trains on all"
         )
     if size <= 0:
         raise InputError(
@@ -74,7 +74,7 @@ def training_extent(scene: Scene) -> float:
 def chosen_downscale(photos: Photos, frames: Sequence[Frame], *, on_cpu: bool | None = None) -> float:
     """How many times smaller the photos become: what the user said, else what the largest of them needs.
 
-    Its longer side is brought to `photos.longest_side` (1600 pixels, as 3DGS does), and on a CPU (None: as jax says)
+    Its longer side is reduced to `photos.longest_side` (1600 pixels, as 3DGS does), and on a CPU (None: as jax says)
     its area to `photos.cpu_pixels` where the preset has that.
     """
     if photos.downscale is not None:
@@ -91,5 +91,5 @@ def size_line(steps: int, originals: Sequence[Frame], used: Sequence[Frame]) -> 
     largest, reduced = (max(frames, key=lambda f: f.width * f.height) for frames in (originals, used))
     line = f"{len(used)} photos at {reduced.width}x{reduced.height}"
     if (largest.width, largest.height) != (reduced.width, reduced.height):
-        line += f" (taken at {largest.width}x{largest.height}; --downscale 1 keeps that)"
+        line += f" (taken at {largest.width}x{largest.height}; photos.downscale=1 keeps that)"
     return f"{line}, {steps:,} steps"

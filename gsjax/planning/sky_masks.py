@@ -19,7 +19,7 @@ def read_sky_masks(scene: Scene, folder: str | None, images: str | None, downsca
         return None
     source = scene.root / folder  # An absolute path stays what it is.
     if not source.is_dir():
-        raise InputError(f"--sky {folder}: there is no such folder, in {scene.root} or elsewhere")
+        raise InputError(f"sky={folder}: there is no such folder, in {scene.root} or elsewhere")
     masked = load_scene(
         scene.root,
         downscale=downscale,
@@ -37,5 +37,5 @@ def read_sky_masks(scene: Scene, folder: str | None, images: str | None, downsca
         if is_sky is not None and is_sky.any():
             masks[frame.name] = is_sky
     if not masks:
-        raise InputError(f"--sky {folder}: no mask in {source} is 0 anywhere where a photo may be used")
+        raise InputError(f"sky={folder}: no mask in {source} is 0 anywhere where a photo may be used")
     return masks

@@ -33,7 +33,7 @@ def with_given_points(scene: Scene, file: str | None) -> Scene:
 
 
 def with_stereo_points(scene: Scene, planned: Plan, depths: Callable[[], PhotoDepths]) -> tuple[Scene, tuple[str, ...]]:
-    """The scene with points where its photos agree about depth after its own, and a line that says how many.
+    """The scene with points of multi-view consistent depth after its own, and a line that reports how many.
 
     What structure from motion left empty has something to start with, on the surface and not before it. `depths`
     computes stereo depth of the photos, and is called only where points are added.
@@ -72,7 +72,7 @@ def first_state(
     rows: int | None = None,
     skies: sky.Masks = MappingProxyType({}),
 ) -> TrainState:
-    """Step 0 in a buffer of so many rows; None: of those that the points take. No point lies in the photos' sky."""
+    """Step 0 in a buffer of so many rows; None: of those that the points take. No point is in the photos' sky."""
     points, colors = starting_points(scene, model)
     if skies:
         stay = ~sky.lies_in(points, scene.train_frames, skies)

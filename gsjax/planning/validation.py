@@ -105,7 +105,7 @@ def mean_and_error(values: Sequence[float]) -> tuple[float, float]:
     return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(len(values)))
 
 
-class Validated(NamedTuple):
+class ValidationGain(NamedTuple):
     """The gain of a change in validation runs."""
 
     gain: float  # dB on held-out pixels, with the change less without, mean over the photos
@@ -126,7 +126,7 @@ def compared(
     photos: Sequence[np.ndarray],
     valid: Sequence[np.ndarray],
     held_out: Sequence[np.ndarray],
-) -> Validated:
+) -> ValidationGain:
     """PSNR on the held-out pixels, one variant less the other, by a score that both share; 0 of fewer than two photos.
 
     Both are multiplied by one factor per channel, of all photos together, that fits the pixels which are not held out:
@@ -147,7 +147,7 @@ def compared(
         counted = pixels & (error <= most)
         if counted.any():
             gains.append(float(in_decibels(after[counted].mean()) - in_decibels(before[counted].mean())))
-    return Validated(*mean_and_error(gains)) if len(gains) > 1 else Validated(0.0, 0.0)
+    return ValidationGain(*mean_and_error(gains)) if len(gains) > 1 else ValidationGain(0.0, 0.0)
 
 
 def _errors(

@@ -8,7 +8,7 @@ from rasterizer.engines import resolve
 
 
 class Engine(NamedTuple):
-    """What "auto" stands for on this machine."""
+    """What "auto" means on this machine."""
 
     name: str  # as `rasterizer.rasterization(backend=)` takes it
     device: str  # "the CPU", or the accelerator's name
@@ -47,5 +47,5 @@ class _Heard(logging.Handler):
 
 
 def computes_on_cpu() -> bool:
-    """Whether the processor computes, and what is computed with lies in its memory."""
+    """Whether the processor computes, and what is computed with is in its memory."""
     return default_device().platform == "cpu"

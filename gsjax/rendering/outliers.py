@@ -17,7 +17,7 @@ from gsjax.rendering.coarse_depths import SAME_SURFACE, CoarseDepth, depths_at
 from gsjax.scene.cameras import Camera, viewmat_centers
 
 NEIGHBORS = 12  # of a Gaussian that it may hang on
-SPACING = 3  # The distance to so many-th of them is how close Gaussians lie to each other there,
+SPACING = 3  # The distance to so many-th of them is how close Gaussians are to each other there,
 REACH = 2.5  # and so many times that far apart, two Gaussians hang together.
 SMALL = 0.002  # of all Gaussians: a cluster of fewer is small
 FEWEST = 8  # Of a small scene too, fewer make no thing.
@@ -68,7 +68,7 @@ def giants(means: np.ndarray, scales: np.ndarray, centers: np.ndarray | None) ->
 
 
 def looked_at(cameras: Sequence[Camera]) -> tuple[np.ndarray, float] | None:
-    """The sphere that cameras stand around: the point nearest to all their axes, and their median distance from it.
+    """The sphere that cameras surround: the point nearest to all their axes, and their median distance from it.
 
     Returns:
         Its middle `[3]` and radius; None where fewer than nine in ten cameras have that point in front of them.

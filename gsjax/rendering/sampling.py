@@ -23,7 +23,7 @@ def sample_bilinear(image: Array, pixel: Array) -> Array:
 
 
 def reads_within(mask: Array, pixel: Array) -> Array:
-    """`[]` bool: a pixel position (x, y) lies between four pixel centres of the image, all of them in `mask` `[H, W]`.
+    """`[]` bool: a pixel position (x, y) is between four pixel centres of the image, all of them in `mask` `[H, W]`.
 
     Where it does, `sample_bilinear` blends no value from outside the mask and has the slope of its patch.
     """

@@ -104,7 +104,7 @@ def view_splats(
 
     `axes` are those of `facing_axes`; the rest is as in `view`.
     """
-    # Depth comes last of the channels: that is where the pass looks for what lies in front. Probes are behind all.
+    # Depth comes last of the channels: that is where the pass looks for what is in front. Probes are behind all.
     planes = None if reading is None else depth_channels(splats, reading)
     channels = {"colors": colors, "extra": extra, "axes": axes, "depth": planes}
     channels = {name: jnp.asarray(values, colors.dtype) for name, values in channels.items() if values is not None}

@@ -1,4 +1,4 @@
-"""Curves of a run as the numbers of an SVG: where lines, ticks and marks lie in a picture of fixed size."""
+"""Curves of a run as the numbers of an SVG: where lines, ticks and marks are in a picture of fixed size."""
 
 import math
 from collections.abc import Sequence

@@ -86,7 +86,7 @@ def _dropout(run: RunFacts) -> Rows:
     share = max((phase.get("dropout", 0.0) for phase in run.plan["phases"]), default=0.0)
     is_asked = bool(run.settings["schedule"].get("dropout", 0.0))
     reason = (
-        f"asked for: schedule.dropout={share:g}" if is_asked else "sparse-view regularization: few photos, or far apart"
+        f"requested: schedule.dropout={share:g}" if is_asked else "sparse-view regularization: few photos, or far apart"
     )
     return [("Left out of every step", f"{share:.0%} of the Gaussians", reason)] if share else []
 
@@ -109,7 +109,7 @@ def effects(run: RunFacts) -> Rows:
     return [
         (
             name,
-            "simulated" if name in record["simulated"] else "called for" if each["on"] else "no",
+            "simulated" if name in record["simulated"] else "detected" if each["on"] else "no",
             *(f"{tables.format_value(each[key])} {each['unit'] if each[key] is not None else ''}".strip()
               for key in ("evidence", "noise", "threshold")),
             each["note"],

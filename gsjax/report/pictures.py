@@ -24,7 +24,7 @@ def depth_picture(depth: np.ndarray, span: tuple[float, float] | None = None) ->
 
 
 def depth_span(depths: np.ndarray) -> tuple[float, float]:
-    """The depths that all but the nearest and the farthest hundredth lie between; 0 and 1 where there are none."""
+    """The depths that all but the nearest and the farthest hundredth are between; 0 and 1 where there are none."""
     valid_depths = depths[depths > 0]
     near, far = np.quantile(valid_depths, [0.01, 0.99]) if len(valid_depths) else (0.0, 1.0)
     return float(near), float(far)

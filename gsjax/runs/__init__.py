@@ -76,7 +76,7 @@ def require_free(run: str | Path) -> None:
     """Raises InputError where the folder of a new run holds something already."""
     run = Path(run)
     if run.is_dir() and not all(map(_is_of_a_beginning, run.iterdir())):
-        raise InputError(f"{run}: this folder is not empty; continue its run with --resume, or choose another")
+        raise InputError(f"{run}: this folder is not empty; resume its run, or choose another")
 
 
 def can_resume(run: str | Path) -> bool:
@@ -91,7 +91,7 @@ def can_resume(run: str | Path) -> bool:
         with lock_folder(run):
             return True
     if not run.is_dir():
-        raise InputError(f"{run}: there is no run to resume; without --resume one begins")
+        raise InputError(f"{run}: there is no run to resume; without resume one begins")
     if not all(map(_is_of_a_beginning, run.iterdir())):
         raise InputError(f"{run}: holds no manifest.json; it is no run folder")
     print(f"{run}: a run was stopped as it began here; it begins anew", file=sys.stderr)
@@ -209,7 +209,7 @@ def _drop_damaged_checkpoints(run: Path) -> None:
             return
         except InputError as error:
             if len(candidates) == 1:
-                raise InputError(f"{error}; without this file, --resume begins at the first step") from error
+                raise InputError(f"{error}; without this file, resuming begins at the first step") from error
             print(f"{error}; resuming from {candidates[-2][1].name}", file=sys.stderr)
             candidates[-1][1].unlink()
 

@@ -47,7 +47,7 @@ def filter_normals(
         frames: The photos.
         maps: `[H, W, 3]` int8 a photo, 127 times the unit normal.
         depth_mode: See `gsjax.rendering`.
-        keep: Where the maps that are returned are to lie.
+        keep: Where the maps that are returned are to be.
         notify: Receives the verdict as one line.
     """
     file = folder / CONFIDENCE

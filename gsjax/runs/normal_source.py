@@ -65,7 +65,7 @@ class NormalSource:
             stereo: Normals of multi-view stereo by the photo's name, `[h, w, 3]` int8 as `__call__` returns them. They
                 serve where no folder is given, unfiltered: other photos confirm them already. Of a folder, they serve
                 for the photos whose maps the filter rejects (`gsjax.stereo.witnessed_normals`).
-            keep: Where the maps are to lie.
+            keep: Where the maps are to be.
             notify: Receives lines: the axes of foreign maps and the evidence for them; the verdict of the filter.
 
         Raises:
@@ -74,7 +74,7 @@ class NormalSource:
         self.folder = run / "normals"
         self.signs = None if axes is None else axis_signs(axes)
         if folder is None and axes is not None:
-            raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
+            raise InputError(f"normal_axes={axes}: there are no maps whose axes these are (supervision.normals)")
         self.depth_mode: DepthReading = depth_mode
         self.stereo = stereo
         self.gated = gated and (folder is not None or not stereo)
@@ -168,7 +168,7 @@ class NormalSource:
         else:
             own, fault = self.network is None, "fits better" if clear else "is doubtful"
             decision = f"taken as {written_axes(ours)}" if own else f"kept as in {self.network}'s record"
-            line, signs = f"axes {decision}: {guess} {fault} ({measured}); --normal-axes sets them", ours
+            line, signs = f"axes {decision}: {guess} {fault} ({measured}); supervision.normal_axes sets them", ours
         self.notify(line)
         return signs
 

@@ -21,7 +21,7 @@ class Pixel(NamedTuple):
     """A pixel of a photo."""
 
     photo: str  # its name in the data set; its file's name, or that without ending, where one photo alone has it
-    x: float  # pixels of the photo as it lies in the data set, from its left edge
+    x: float  # pixels of the photo as it is in the data set, from its left edge
     y: float  # from its upper edge
 
     def __str__(self) -> str:
@@ -112,7 +112,7 @@ def _pixel_of(view: Frame | Camera, pixel: Pixel, downscale: float) -> tuple[flo
         x, y = pixel.x / downscale, pixel.y / downscale
         inside = 0 <= x < view.width and 0 <= y < view.height
     if not inside:
-        raise InputError(f"{pixel}: lies outside the photo, which is {width}x{height}")
+        raise InputError(f"{pixel}: is outside the photo, which is {width}x{height}")
     return float(x), float(y)
 
 

@@ -40,13 +40,13 @@ def join_processes(coordinator: str, processes: int | None = None, process: int 
         _check_address(coordinator)
     for name, number, low in (("processes", processes, 1), ("process", process, 0)):
         if number is not None and not low <= number < MOST_PROCESSES:
-            raise InputError(f"--{name} {number} is not between {low} and {MOST_PROCESSES - 1}")
+            raise InputError(f"{name}={number} is not between {low} and {MOST_PROCESSES - 1}")
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
         address = None if coordinator == "auto" else coordinator
         jax.distributed.initialize(address, processes, process, heartbeat_timeout_seconds=PATIENCE)
     except (ValueError, RuntimeError) as error:
-        raise InputError(f"--coordinator {coordinator}: {str(error).splitlines()[0]}") from error
+        raise InputError(f"coordinator={coordinator}: {str(error).splitlines()[0]}") from error
     try:
         yield
     except InputError:
@@ -56,20 +56,18 @@ def join_processes(coordinator: str, processes: int | None = None, process: int 
         if not LOST.search(str(error)):
             raise
         atexit.register(os._exit, 2)
-        raise InputError("another process of this run was lost; --resume continues from the last checkpoint") from error
+        raise InputError("another process of this run was lost; resume from the last checkpoint") from error
 
 
 def _check_address(coordinator: str) -> None:
     """InputError unless there could be somebody: jax would wait for minutes."""
     host, _, port = coordinator.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise InputError(f"--coordinator {coordinator}: is no HOST:PORT")
+        raise InputError(f"coordinator={coordinator}: is no HOST:PORT")
     try:
         socket.getaddrinfo(host.strip("[]"), int(port))
     except (socket.gaierror, UnicodeError) as error:
-        raise InputError(
-            f"--coordinator {coordinator}: {getattr(error, 'strerror', 'is no name of a host')}"
-        ) from error
+        raise InputError(f"coordinator={coordinator}: {getattr(error, 'strerror', 'is no name of a host')}") from error
 
 
 def is_first() -> bool:

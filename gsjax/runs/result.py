@@ -181,7 +181,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
     check(folder / "manifest.json", run.manifest, SCENE)
     check(folder / "config.json", run.settings, {"photos": {"masks": str}})
     if not 0 < zoom < math.inf:
-        raise InputError(f"--zoom {zoom:g} is not a number above 0")
+        raise InputError(f"zoom={zoom:g} is not a number above 0")
     downscale = run.downscale / zoom
     if downscale < 1:
         reduced = f"reduced by {run.downscale:g}" if run.downscale > 1 else "as they are"
@@ -189,8 +189,8 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
     root = run.manifest["scene"] if scene is None else scene
     if scene is None and not os.path.isdir(root):
         raise InputError(
-            f"{folder}: its data set is no longer in {root}; `gsjax train --out {folder} --resume --scene FOLDER` tells"
-            " where it was moved"
+            f"{folder}: its data set is no longer in {root}; `gsjax train --out {folder} --resume --scene FOLDER` sets"
+            " where it is now"
         )
     loaded = load_scene(
         root,

@@ -20,7 +20,7 @@ MESH_MARGIN = 1.05
 SIZE = 400  # Side of a view, pixels.
 FOCAL = 1.2  # Of a view from outside, in widths: what surrounds the middle fills it.
 WIDE_FOCAL = 0.5  # Of a view from inside: a quarter turn.
-PROBE_SIZE = 64  # Of the small views by which a place to stand is chosen.
+PROBE_SIZE = 64  # Of the small views by which a viewpoint is chosen.
 MUCH_BETTER = 1.5  # So many times as many Gaussians must be seen for an inner place to be preferred.
 
 
@@ -79,7 +79,7 @@ def _intrinsics(focal: float, size: int) -> Any:
 
 
 def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, cameras: tuple[Camera, ...]) -> int:
-    """How many means lie on the rendered depth of some view."""
+    """How many means are on the rendered depth of some view."""
     near = np.full(len(means), 0.02 * np.median(radii))
     # Means are compared, so the depth is theirs.
     pictures = gallery.pictures(gaussians, cameras, np.zeros(3, np.float32), "center")
@@ -107,7 +107,7 @@ def camera_circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camer
 def camera_circle_of_mesh(mesh: Mesh, up: np.ndarray) -> list[Camera]:
     """A circle of square views, 20 degrees above the middle of a mesh, each of which holds the whole mesh.
 
-    The circle ignores the farthest hundredth of the vertices on every side, so stray vertices do not shrink the rest.
+    The circle ignores the farthest hundredth of the vertices on every side, so outliers do not shrink the rest.
     `up`, `[3]` of any length, is up in the pictures.
     """
     low, high = np.quantile(mesh.vertices[np.unique(mesh.faces)].astype(np.float64), [0.01, 0.99], axis=0)
@@ -137,7 +137,7 @@ def evenly_spread(count: int, most: int) -> list[int]:
 def mean_up(cameras: Sequence[Camera]) -> np.ndarray:
     """`[3]` unit float64, world: what is up in the pictures of cameras, on average.
 
-    Of cameras that lie in all directions there is no such thing; theirs is that of the first.
+    Of cameras that are in all directions there is no such thing; theirs is that of the first.
     """
     ups = -np.stack([np.asarray(camera.viewmat, np.float64)[1, :3] for camera in cameras])
     length = np.linalg.norm(ups.mean(axis=0))

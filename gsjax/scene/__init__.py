@@ -26,7 +26,7 @@ class Pixels(NamedTuple):
 
 
 Keep = Callable[[np.ndarray], np.ndarray]
-"""An array -> the same one where it is to lie: in memory, or on the disk (`gsjax.io.temporary_files`)."""
+"""An array -> the same one where it is to be: in memory, or on the disk (`gsjax.io.temporary_files`)."""
 
 
 class Origin(NamedTuple):
@@ -35,7 +35,7 @@ class Origin(NamedTuple):
     photo: tuple[int, int]  # its width and height, pixels
     undistorted: tuple[int, int]  # width and height without distortion and bare border, before a frame is downscaled
     positions: Callable[[], Float32[np.ndarray, "H W 2"]]  # where in the photo, in shares of its width and height,
-    # each of the frame's pixel centres lies; -1 where the photo shows nothing
+    # each of the frame's pixel centres is; -1 where the photo shows nothing
 
 
 class DepthFile(NamedTuple):
@@ -62,7 +62,7 @@ class Frame:
 
 
 def frame_of(name: str, viewmat: np.ndarray, K: np.ndarray, pixels: Pixels, *, held_out: bool = False) -> Frame:
-    """A frame whose pixels are at hand."""
+    """A frame with its pixels in memory."""
     height, width = pixels.image.shape[:2]
     return Frame(name, viewmat, K, width, height, lambda: pixels, held_out, masked=pixels.valid is not None)
 

@@ -76,7 +76,7 @@ def read_batches(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_mem
         frames: Photos of any sizes.
         scale: Reduce each by this factor (mean over blocks; a rest at the right and the bottom is dropped). Colours
             are weighted by matte and validity, so what an unused pixel happens to hold never bleeds in.
-        keep: Where they are to lie.
+        keep: Where they are to be.
 
     Returns:
         `Batches` of the largest (reduced) width and height. A photo of that size that is not reduced is not copied.
@@ -87,7 +87,7 @@ def read_batches(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_mem
     width, height = (max(getattr(frame, side) for frame in frames) // scale for side in ("width", "height"))
     if width < 1 or height < 1:
         raise InputError(
-            f"a phase looks at photos {scale} times smaller: nothing is left of one of"
+            f"a phase trains on photos {scale} times smaller: nothing is left of one of"
             f" {frames[0].width}x{frames[0].height} pixels"
         )
     views = [_read_batch(frame, scale, width, height, keep) for frame in frames]
@@ -128,7 +128,7 @@ def with_photo_numbers(data: Batches) -> Batches:
 
 
 def feed(data: Batches, *, room: int) -> Callable[[Sequence[int], Sequence[int]], list[Batch]]:
-    """A function that brings photos to the device: all at once where they fit in `device_room`, else before their step.
+    """A function that moves photos to the device: all at once where they fit in `device_room`, else before their step.
 
     It is (indices, indices of the next step) -> the photos on the device; the same bits either way.
     """

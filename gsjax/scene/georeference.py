@@ -141,7 +141,7 @@ def parse_place(record: Any, where: object) -> Place:
         ):
             raise ValueError
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InputError(f"{where}: tells no place of a scene ({str(record)[:80]})") from error
+        raise InputError(f"{where}: states no place of a scene ({str(record)[:80]})") from error
     return place
 
 
@@ -164,7 +164,7 @@ def up_of_cameras(viewmats: np.ndarray) -> tuple[np.ndarray, float]:
     """Which way is up, if cameras were held level: the direction that their right vectors are least along.
 
     Args:
-        viewmats: `[V, 4, 4]` or `[V, 3, 4]` world to camera, OpenCV axes, of pictures that stand upright.
+        viewmats: `[V, 4, 4]` or `[V, 3, 4]` world to camera, OpenCV axes, of pictures that are upright.
 
     Returns:
         `[3]` unit vector in the world, and its standard error in radians by how the right vectors scatter: infinite
@@ -173,7 +173,7 @@ def up_of_cameras(viewmats: np.ndarray) -> tuple[np.ndarray, float]:
     rights, downs, forwards = (viewmats[:, row, :3] for row in range(3))
     values, vectors = np.linalg.eigh(rights.T @ rights)
     up = vectors[:, 0]
-    # Pictures stand on their lower edge; those of a camera that looks straight down do on none.
+    # Pictures are on their lower edge; those of a camera that looks straight down are on none.
     if (0.5 * forwards + downs).sum(0) @ up > 0:
         up = -up
     if values[1] < 1e-4 * values[2]:
@@ -183,7 +183,7 @@ def up_of_cameras(viewmats: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def turn_upright(up: np.ndarray) -> np.ndarray:
-    """`[3, 3]` the shortest rotation that brings a unit vector `up` to z."""
+    """`[3, 3]` the shortest rotation that turns a unit vector `up` to z."""
     x, y, z = up
     if z < -1 + 1e-9:
         return np.diag([1.0, -1.0, -1.0])

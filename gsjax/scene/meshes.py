@@ -10,7 +10,7 @@ from jaxtyping import Float, Int32, UInt8
 class Mesh:
     """V vertices and F triangles in world coordinates."""
 
-    vertices: Float[np.ndarray, "V 3"]  # float32 world positions, scene units; float64 in files that lie far off
+    vertices: Float[np.ndarray, "V 3"]  # float32 world positions, scene units; float64 in files that are far off
     faces: Int32[np.ndarray, "F 3"]  # vertex indices, counter-clockwise seen from outside
     colors: UInt8[np.ndarray, "V 3"]  # sRGB
 

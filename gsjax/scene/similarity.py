@@ -1,8 +1,8 @@
-"""Where a scene lies and in which units: between the coordinates of a user's files and those that are computed with.
+"""Where a scene is and in which units: between the coordinates of a user's files and those that are computed with.
 
 Float32 has seven digits. Of a place at 4,500,000 they leave half a unit, and some limits (the near plane, the smallest
-spacing) are numbers of units. So a scene that is far off its origin, or very small or large in its units, is brought to
-*local* coordinates as it is read, in float64; what is written is brought back. `gsjax.scene.Scene`, Gaussians, meshes,
+spacing) are numbers of units. So a scene that is far off its origin, or very small or large in its units, is converted
+to *local* coordinates as it is read, in float64, and back as it is written. `gsjax.scene.Scene`, Gaussians, meshes,
 checkpoints and all that is computed are local; files and reports are in the user's world.
 
     local = scale * (world - center)
@@ -131,7 +131,7 @@ IDENTITY = Similarity()
 
 
 def of_cameras(viewmats: np.ndarray, points: np.ndarray) -> Similarity:
-    """The similarity of a data set: its cameras, `[V, 4, 4]` float64, lie around the local origin, a few units apart.
+    """The similarity of a data set: its cameras, `[V, 4, 4]` float64, are around the local origin, a few units apart.
 
     Where all photos were taken from one place, its `[P, 3]` float64 points determine the size.
     """

@@ -1,6 +1,6 @@
 """Depth of photos from one another: a plane sweep, smoothed, and kept where photos confirm each other.
 
-A cheap estimate of what is between the points of structure from motion: training may start there, and a mesh be made of
+A fast estimate of what is between the points of structure from motion: training may start there, and a mesh be made of
 it. It needs tracks: they say which photos see the same things, at which depths to look, and whether what was found is
 right.
 """

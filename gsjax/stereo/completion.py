@@ -23,7 +23,7 @@ SAME_ANGLE = 25.0  # degrees, between the normals of two photos that show one su
 BEHIND = 0.04  # of the depth, by which what a photo shows behind a surface contradicts it
 
 
-class Completed(NamedTuple):
+class CompletedDepth(NamedTuple):
     """The surface that a photo shows."""
 
     depth: Depth
@@ -37,7 +37,7 @@ class _Surface(NamedTuple):
     stereo: np.ndarray  # [H, W] inverse depth by stereo alone; 0 where it is unknown
 
 
-def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequence[int]]) -> list[Completed]:
+def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequence[int]]) -> list[CompletedDepth]:
     """Complete the depth of photos by planes.
 
     Their depth is confident where another confirms it; `near` has the indices of those that each is compared with.
@@ -69,7 +69,7 @@ def _complete_once(
     depths: Sequence[Depth],
     stereo: Sequence[np.ndarray],
     near: Sequence[Sequence[int]],
-) -> list[Completed]:
+) -> list[CompletedDepth]:
     def surface_of(index: int) -> _Surface:
         rng = np.random.default_rng(index)  # One for each photo, as threads take turns.
         planes = _completed_planes(views[index], segments[index], depths[index], rng)
@@ -80,7 +80,7 @@ def _complete_once(
     return list(parallel_map(lambda index: _checked(surfaces[index], others_of[index]), range(len(views))))
 
 
-def _checked(surface: _Surface, others: Sequence[_Surface]) -> Completed:
+def _checked(surface: _Surface, others: Sequence[_Surface]) -> CompletedDepth:
     """What other photos confirm of a surface and none contradicts."""
     confirmed = np.zeros(surface.planes.shape[:2], bool)
     contradicted = np.zeros_like(confirmed)
@@ -90,7 +90,7 @@ def _checked(surface: _Surface, others: Sequence[_Surface]) -> Completed:
         contradicted |= behind
     is_known = confirmed & ~contradicted
     z = 1 / np.where(is_known, surface.planes[..., 0], 1)
-    return Completed(Depth(z, is_known), np.where(is_known[..., None], surface.normals, 0).astype(np.float32))
+    return CompletedDepth(Depth(z, is_known), np.where(is_known[..., None], surface.normals, 0).astype(np.float32))
 
 
 def _completed_planes(view: View, labels: np.ndarray, depth: Depth, rng: np.random.Generator) -> np.ndarray:

@@ -167,7 +167,7 @@ def stereo_points(swept: PhotoDepths, count: int) -> StereoPoints:
     points = np.concatenate([each.view.lift(each.depth) for each in swept.accepted])
     colors = np.concatenate([each.view.color[each.depth.is_confident] for each in swept.accepted])
     indices = spread_evenly(points, count)
-    line = f"{len(indices):,} more points where photos agree about depth"
+    line = f"{len(indices):,} more points of multi-view consistent depth"
     return StereoPoints(points[indices].astype(np.float32), colors[indices], line)
 
 

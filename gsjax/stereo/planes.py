@@ -1,4 +1,4 @@
-"""Planes of a photo's segments: where few planes explain the confident depth in a segment, all of it lies on them.
+"""Planes of a photo's segments: where few planes explain the confident depth in a segment, all of it is on them.
 
 Walls and cupboards have little texture inside, where stereo finds nothing, but their outline has some. On a plane the
 inverse depth is affine in the pixel, so that planes are fitted to inverse depth. A map of planes is `[H, W, 3]`:
@@ -15,11 +15,11 @@ WINDOW = 7  # pixels, side of the square in which the slopes of depth are fitted
 SEGMENT_SIGMA, SEGMENT_SCALE, SMALLEST_SEGMENT = 0.6, 300.0, 150  # of the graph segmentation, at `SEGMENT_PIXELS`
 SEGMENT_PIXELS = 76_800
 MOST_PLANES = 3  # of a segment
-TOLERANCE = 0.008  # of the inverse depth, up to which a pixel lies on a plane
-TRIALS, SAMPLES = 64, 600  # of a fit: planes that are tried, and pixels that are asked
+TOLERANCE = 0.008  # of the inverse depth, up to which a pixel is on a plane
+CANDIDATES, SAMPLES = 64, 600  # of a fit: planes that are tried, and pixels that are asked
 FEWEST_KNOWN, KNOWN_SHARE = 30, 0.03  # pixels with depth, and their share of a segment, from which planes are fitted
 FEWEST_ON, ON_SHARE = 20, 0.1  # pixels on one plane, and their share of those with depth
-EXPLAINED = 0.6  # share of the pixels with depth that lie on the planes of an accepted segment
+EXPLAINED = 0.6  # share of the pixels with depth that are on the planes of an accepted segment
 THINNEST = 2.0  # pixels, standard deviation across pixels that are no line
 REACH = 4.0  # standard deviations of a plane's pixels, as far as it is extended
 
@@ -43,7 +43,7 @@ def _summed(values: np.ndarray) -> np.ndarray:
 def segment_planes(view: View, labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return `[H, W, 3]` the map of planes of the photo's segments, up to `MOST_PLANES` in each.
 
-    Every pixel of a segment takes the plane of the nearest pixel that lies on one, as far as that plane is known. The
+    Every pixel of a segment takes the plane of the nearest pixel that is on one, as far as that plane is known. The
     labels `[H, W]` are those of the segments, the planes `[H, W, 3]` those of confident depth.
     """
     result = np.zeros_like(planes)
@@ -112,9 +112,9 @@ def _fits(places: np.ndarray, inverse: np.ndarray, rng: np.random.Generator) -> 
 
 
 def _consensus(places: np.ndarray, inverse: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The plane `[3]` that most of `[P, 2]` pixels lie on, of some trials, fitted to these; `[P]` bool, which do."""
+    """The plane `[3]` of most of `[P, 2]` pixels among random candidates, fitted to them; `[P]` bool, its pixels."""
     points = np.concatenate([places, inverse[:, None]], axis=-1)
-    first, second, third = points[rng.integers(len(points), size=(3, TRIALS))]
+    first, second, third = points[rng.integers(len(points), size=(3, CANDIDATES))]
     normals = np.cross(second - first, third - first)
     steep = np.where(normals[:, 2] != 0, normals[:, 2], 1)  # Three pixels on a line: their slope is taken as 0.
     slopes = np.where(normals[:, 2:] != 0, -normals[:, :2] / steep[:, None], 0)

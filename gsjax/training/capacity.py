@@ -68,7 +68,7 @@ def is_compiled_anew(before: Any, state: Any) -> bool:
 
 
 def can_stream(state: Any, data: Batches, view_share: float) -> bool:
-    """Whether the photos lie on the device, and the step that had no room has left the state there."""
+    """Whether the photos are on the device, and the step that had no room has left the state there."""
     resident = 0 < data.num_bytes <= batches.device_room(view_share)
     return resident and not any(leaf.is_deleted() for leaf in jax.tree.leaves(state) if isinstance(leaf, Array))
 
@@ -80,5 +80,5 @@ def no_room(error: Exception, data: Batches, capacity: int) -> Exception:
     width, height = data.size
     return InputError(
         f"the device has no room for a step at {width}x{height} with {capacity:,} pairs; "
-        "make the photos smaller (--downscale) or the Gaussians fewer (--set model.max_gaussians=N)"
+        "make the photos smaller (photos.downscale) or the Gaussians fewer (model.max_gaussians)"
     )

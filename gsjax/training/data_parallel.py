@@ -30,9 +30,9 @@ def count_devices(devices: Devices) -> int:
     count = len(there) if devices == "all" else devices
     if count > len(there):
         hint = f"; on a CPU, XLA_FLAGS=--xla_force_host_platform_device_count={count} makes so many"
-        raise InputError(f"--devices {devices}: there are {len(there)}{hint if there[0].platform == 'cpu' else ''}")
+        raise InputError(f"devices={devices}: there are {len(there)}{hint if there[0].platform == 'cpu' else ''}")
     if jax.process_count() > 1 and count < len(there):
-        raise InputError(f"--devices {devices}: several processes use all devices that they have, {len(there)}")
+        raise InputError(f"devices={devices}: several processes use all devices that they have, {len(there)}")
     return count
 
 
@@ -44,7 +44,7 @@ def device_mesh(devices: Devices, views_per_step: int) -> Mesh | None:
     """
     count = count_devices(devices)
     if views_per_step % count:
-        raise InputError(f"--views-per-step {views_per_step}: is no multiple of {count} devices")
+        raise InputError(f"views_per_step={views_per_step}: is no multiple of {count} devices")
     if count == views_per_step == 1:
         return None
     return jax.make_mesh((count,), (AXIS,), axis_types=(AxisType.Auto,), devices=jax.devices()[:count])

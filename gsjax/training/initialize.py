@@ -22,7 +22,7 @@ SHELLS = (1.5, 3.0, 6.0)
 def far_points(points: np.ndarray, frames: Sequence[Frame], count: int) -> np.ndarray:
     """Points on three spheres around cameras and cloud, where a photo has them in view, for backgrounds.
 
-    What lies far behind a subject is seldom matched. Gaussians that stand in front of it, before the cameras on the
+    What is far behind a subject is seldom matched. Gaussians that are in front of it, before the cameras on the
     other side, are then made to show it, and those cameras look through them as through fog. Of `count` points on all
     spheres those that no photo sees are left out.
     """
@@ -57,7 +57,7 @@ def from_points(
 ) -> Gaussians:
     """Isotropic Gaussians at the points, as 3DGS starts (its create_from_pcd), in a buffer of fixed capacity.
 
-    A sphere looks the same however its axes lie, but training stretches it along them. So they are those of the points
+    A sphere looks the same however its axes are, but training stretches it along them. So they are those of the points
     around it, not of the world as in 3DGS: a scene that is turned trains as it did before.
 
     Args:

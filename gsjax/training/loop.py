@@ -25,7 +25,7 @@ from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.stepping import Feed, advance, faulty_terms, one_view, photo_of, several_views, view_order
-from gsjax.training.terms import Term, Weighed
+from gsjax.training.terms import LossTerm, Term
 from gsjax.training.terms.multi_view import with_neighbors
 
 ReadNormals = Callable[[TrainState], Sequence[np.ndarray]]
@@ -49,10 +49,10 @@ class Progress(NamedTuple):
 _shared_train_step = lru_cache(maxsize=32)(make_train_step)
 
 
-def kept_step(optimizer: Optimizer, terms: tuple[Weighed, ...], *, effects: Effects, **how: Any) -> TrainStep:
+def kept_step(optimizer: Optimizer, terms: tuple[LossTerm, ...], *, effects: Effects, **how: Any) -> TrainStep:
     """`make_train_step`, the same for the same arguments: the next run of this plan finds its programs compiled.
 
-    A term whose function is another is another argument. Effects bring numbers of their run, so that steps with them
+    A term whose function is another is another argument. Effects have numbers of their run, so that steps with them
     are made anew.
     """
     if effects:
@@ -75,7 +75,7 @@ class Work:
     mesh: Mesh | None = None  # devices that share the views of a step; None: one device with one view a step
     depths: Depths | None = None  # where a term needs measured depth
     skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the plan knows of one
-    keep: Keep = in_memory  # where the smaller photos and the maps of a phase lie
+    keep: Keep = in_memory  # where the smaller photos and the maps of a phase are
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; None with a mesh
     shares: Callable[[], np.ndarray | float] = lambda: 1.0  # of `with_neighbors`; called after `normal_source`
     make_step: Callable[..., TrainStep] = field(default_factory=lambda: kept_step)  # as `make_train_step`
@@ -208,13 +208,13 @@ class PhaseRun:
     def _key(self) -> Array:
         return jax.random.key(self.work.plan.seed)
 
-    def _comparable(self, terms: tuple[Weighed, ...]) -> tuple[Weighed, ...]:
+    def _comparable(self, terms: tuple[LossTerm, ...]) -> tuple[LossTerm, ...]:
         """The terms without those that need the mattes that photos lack."""
         if self.views.image.has_mattes:
             return terms
         return tuple(each for each in terms if "matte" not in each.term.needs)
 
-    def _step_of(self, terms: tuple[Weighed, ...], capacity: int) -> TrainStep:
+    def _step_of(self, terms: tuple[LossTerm, ...], capacity: int) -> TrainStep:
         work, phase, plan = self.work, self.phase, self.work.plan
         return work.make_step(
             work.optimizer,

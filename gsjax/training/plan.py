@@ -16,7 +16,7 @@ from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
-from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms, weights_of_data
+from gsjax.training.terms import TERMS, LossTerm, Term, needs, weigh_terms, weights_of_data
 from gsjax.training.terms.checking import as_terms, check_term
 
 T = TypeVar("T", Density, Logging)
@@ -34,7 +34,7 @@ class PlannedPhase:
     begin: int  # steps of the run before its first one
     end: int  # and after its last one
     scale: int  # photos are so many times smaller in each direction
-    terms: tuple[Weighed, ...]  # of non-zero weight
+    terms: tuple[LossTerm, ...]  # of non-zero weight
     rule: DensificationRule | None = None  # of densification; None: none
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
     surface_every: int = 1  # one of so many steps has the surface terms
@@ -52,7 +52,7 @@ class PlannedPhase:
         return needs(self.terms)
 
     @property
-    def image_terms(self) -> tuple[Weighed, ...]:
+    def image_terms(self) -> tuple[LossTerm, ...]:
         """The terms without the surface terms."""
         return tuple(each for each in self.terms if not each.is_surface)
 
@@ -222,7 +222,7 @@ def plan(
         for each in phase_terms:
             where = f"schedule.phases.{phase.name}.weights.{each.name}"
             if not settings.supervision.has_depth and "measured" in each.term.needs:
-                raise InputError(f"{where}: needs measured depth, --depth DIR")
+                raise InputError(f"{where}: needs measured depth (supervision.depth)")
             if "sky" in each.term.needs:
                 raise InputError(f"{where}: the effect sky adds this term where photos show sky")
         end = begin + _fewer(phase.steps, settings.schedule.views_per_step)
@@ -277,7 +277,7 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
             check_term(each, wide, high, planned.depth_mode)
 
 
-def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
+def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[LossTerm, ...]:
     """The terms of a phase; of plain 3DGS those of the image alone."""
     supervision = settings.supervision
     everywhere = weights_of_data("measured", supervision.weight_of_depth) if supervision.has_depth else {}

@@ -23,7 +23,7 @@ from gsjax.training import data_parallel, optimizers
 from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.dropout import leave_out
 from gsjax.training.state import TrainState
-from gsjax.training.terms import Weighed, multi_view, needs
+from gsjax.training.terms import LossTerm, multi_view, needs
 
 S = TypeVar("S")  # a state of training: a pytree with a field `step`
 G = TypeVar("G")  # gradients to what of it is trained
@@ -102,7 +102,7 @@ class _Free(NamedTuple):
 class _Objective:
     """The loss of one view and its gradients, as one phase has them."""
 
-    terms: Sequence[Weighed]
+    terms: Sequence[LossTerm]
     capacity: int
     sh_every: int
     rule: DensificationRule | None
@@ -165,7 +165,7 @@ class _Objective:
 
 def make_train_step(
     optimizer: optimizers.Optimizer,
-    terms: Sequence[Weighed],
+    terms: Sequence[LossTerm],
     *,
     capacity: int,
     background: Background,
@@ -187,7 +187,7 @@ def make_train_step(
         sh_every: Steps between the bands of the SH ramp.
         rule: Of densification, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.rendering`.
-        effects: Those that stand between the render and the photos; the state and the targets must be made for them.
+        effects: Those that are between the render and the photos; the state and the targets must be made for them.
         extent: Camera extent, scene units: what a rule measures distances in.
         dropout: Share of the Gaussians that each step leaves out, see `gsjax.training.dropout`. 0: none.
         mesh: Devices that share the views of a step, see `gsjax.training.data_parallel`. None: a step takes one view.
@@ -251,7 +251,7 @@ def _of_all_views(metrics: Metrics, capacity: int) -> Metrics:
 
 
 def weighted_loss(
-    terms: Sequence[Weighed], rule: DensificationRule | None, gaussians: Gaussians, view: View, batch: Batch
+    terms: Sequence[LossTerm], rule: DensificationRule | None, gaussians: Gaussians, view: View, batch: Batch
 ) -> tuple[Any, dict[str, Array], Array]:
     """The weighted sum of the terms, with what a rule adds for its probe; each of them; the mean squared error."""
     losses = {each.name: each.term.loss(gaussians, view, batch) for each in terms}

@@ -40,7 +40,7 @@ def view_order(seed: int, step: int, num_views: int) -> int:
 def one_view(data: Batches, seed: int, view_share: float) -> Callable[[int], Batch]:
     """A `Feed` of one device: the view of each step in `view_order`, the next one on its way meanwhile.
 
-    Where the views have neighbours, one of them stands next to each.
+    Where the views have neighbours, one of them is next to each.
     """
     fed = batches.feed(data, room=batches.device_room(view_share))
 

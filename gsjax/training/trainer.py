@@ -20,7 +20,7 @@ from gsjax.training.densification.rules import DENSIFICATION_RULES, Densificatio
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.state import TrainState
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
-from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms
+from gsjax.training.terms import TERMS, LossTerm, Term, needs, weigh_terms
 
 Losses = Mapping[str, "float | tuple[float, Term | Callable[..., Array]]"]
 """Name -> weight of a term of the library, or (weight, term of one's own)."""
@@ -125,7 +125,7 @@ def densify(state: TrainState, key: Array) -> TrainState:
     )
 
 
-def _resolve_losses(losses: Losses) -> tuple[Weighed, ...]:
+def _resolve_losses(losses: Losses) -> tuple[LossTerm, ...]:
     own = {name: loss[1] for name, loss in losses.items() if isinstance(loss, tuple)}
     terms = {name: each if isinstance(each, Term) else Term(each) for name, each in own.items()}
     weights = {name: loss[0] if isinstance(loss, tuple) else loss for name, loss in losses.items()}
@@ -135,7 +135,7 @@ def _resolve_losses(losses: Losses) -> tuple[Weighed, ...]:
 class Step:
     """A compiled step that counts its pairs before the first view, and repeats itself where a view has more."""
 
-    def __init__(self, optimizer: Any, terms: tuple[Weighed, ...], densification: Densification | None, **how: Any):
+    def __init__(self, optimizer: Any, terms: tuple[LossTerm, ...], densification: Densification | None, **how: Any):
         """As `train_step` hands them over; `how` goes to `make_train_step`."""
         self.optimizer, self.terms, self.densification, self.how = optimizer, terms, densification, how
         self.needs = needs(terms)

@@ -32,7 +32,7 @@ PATIENCE = 0.5  # Seconds between two looks for news.
 
 
 class News(NamedTuple):
-    """What a training hands out."""
+    """What a training passes to the page."""
 
     gaussians: Gaussians
     line: str
@@ -73,7 +73,7 @@ class Page:
             self.server = viser.ViserServer(host=self._host, port=self._port, label=label, verbose=False)
         if self._port not in (0, self.server.get_port()):  # Taken since; viser goes on to the next.
             self.close()
-            raise InputError(f"--port {self._port}: is in use")
+            raise InputError(f"port={self._port}: is in use")
         self._scenery = Scenery(self.server, self.viewed, self._soon)
         self._place_camera()
         self._add_switches()
@@ -152,7 +152,7 @@ class Page:
             self.switches[CAMERAS] = cameras
 
     async def _come(self, client: viser.ClientHandle) -> None:
-        """A browser is there: what it looks at is noted from now on."""
+        """A browser has connected: its camera is noted from now on."""
 
         async def moved(camera: viser.CameraHandle) -> None:
             place = PageCamera(camera.position, camera.wxyz, camera.fov, camera.image_width, camera.image_height)
@@ -214,19 +214,19 @@ class Page:
 def check_port(host: str = HOST, port: int = PORT) -> None:
     """InputError unless a server could listen there."""
     if not 0 <= port < 65536:
-        raise InputError(f"--port {port} is not between 0 and 65535")
+        raise InputError(f"port={port} is not between 0 and 65535")
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except socket.gaierror as error:
-        raise InputError(f"--host {host}: {error.strerror}") from error
+        raise InputError(f"host={host}: {error.strerror}") from error
     except UnicodeError as error:  # Of a name that no address can have, such as an empty or a very long part.
-        raise InputError(f"--host {host}: is no name of a host") from error
+        raise InputError(f"host={host}: is no name of a host") from error
     except OSError as error:
-        way_out = "; choose another with --port" if error.errno == errno.EADDRINUSE else ""
-        raise InputError(f"--port {port} on {host}: {error.strerror}{way_out}") from error
+        way_out = "; choose another port" if error.errno == errno.EADDRINUSE else ""
+        raise InputError(f"port={port} on {host}: {error.strerror}{way_out}") from error
 
 
 def _send(client: viser.ClientHandle, picture: np.ndarray, form: Literal["png", "jpeg"]) -> None:

@@ -37,7 +37,7 @@ def picture_size(page: PageCamera, longest: int) -> tuple[int, int]:
 def camera_of(page: PageCamera, size: tuple[int, int]) -> Camera | None:
     """The pinhole camera whose picture of `size`, stretched over the page, is what the page's camera sees.
 
-    Where the two aspects differ, so do the focal lengths. Fields of view are brought into `FOVS`.
+    Where the two aspects differ, so do the focal lengths. Fields of view are clipped to `FOVS`.
 
     Returns:
         A numpy camera; None where the page has no camera: numbers that are not finite, or no rotation.
@@ -57,7 +57,7 @@ def camera_of(page: PageCamera, size: tuple[int, int]) -> Camera | None:
 
 
 def page_camera(camera: Camera) -> PageCamera:
-    """The browser's camera that stands where ours does and sees as far up and down, on a page of its size.
+    """The browser's camera that is where ours is and sees as far up and down, on a page of its size.
 
     A browser's principal point is in the middle: that of a photo which is off it is not kept.
     """

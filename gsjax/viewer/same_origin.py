@@ -46,7 +46,7 @@ def is_own(headers: Headers) -> bool:
 def guarded(host: str) -> Iterator[None]:
     """While it lasts, servers that viser starts refuse requests of foreign pages, if `host` is local.
 
-    A program that connects and does not speak as a page does is logged in one line at most. Viser hands on no option of
+    A program that connects and does not speak as a page does is logged in one line at most. Viser has no option for
     the library beneath, so that library's function is exchanged for the moment.
     """
     serve = server.serve

@@ -22,7 +22,7 @@ FRUSTUM = 0.04  # Length of a camera, in distances from the first camera to the 
 
 
 class Scenery:
-    """Things of a viewed in the scene of a server, each handed to browsers when it is first shown."""
+    """Things of a viewed in the scene of a server, each sent to browsers when it is first shown."""
 
     def __init__(self, server: viser.ViserServer, viewed: ViewedScene, soon: Callable[[Callable[[], None]], None]):
         """Nothing is there yet; long work is given to `soon`, bit by bit."""
@@ -38,7 +38,7 @@ class Scenery:
         self._scene.add_light_directional("/lights/start", position=eye - viewed.middle, intensity=1.5)
 
     def show_splats(self, gaussians: Gaussians) -> None:
-        """Hands Gaussians to the browser, unless it has them."""
+        """Send Gaussians to the browser, unless it has them."""
         if self._splats_of is not gaussians:
             self._scene.add_gaussian_splats("/splats", **browser_splats(gaussians))
             self._splats_of = gaussians

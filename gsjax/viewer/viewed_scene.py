@@ -43,7 +43,7 @@ def open_viewed_scene(
     """Reads a run folder, a file of Gaussians or a mesh; the header of a .ply decides.
 
     With Gaussians a mesh is shown: the given one, else `mesh.ply` of a run that has one. `notify` receives a line where
-    the photos of a run are not at hand.
+    the photos of a run do not exist.
 
     Raises:
         InputError: It is none of these, or cannot be read.
@@ -56,7 +56,7 @@ def open_viewed_scene(
     is_folder = source.is_dir()
     if not is_folder and is_mesh_file(source):
         if mesh is not None:
-            raise InputError(f"{source}: is a mesh itself; --mesh goes with Gaussians")
+            raise InputError(f"{source}: is a mesh itself; a second mesh goes with Gaussians")
         return _of_mesh(source)
     if not is_folder and not source.name.lower().endswith(tuple(FORMATS)):
         suffixes = ", ".join(FORMATS), ", ".join(SUFFIXES)
@@ -104,7 +104,7 @@ def view_data_set(name: str, scene: Scene, background: str, depth_mode: DepthRea
 
 
 def _of_mesh(path: Path) -> ViewedScene:
-    """A mesh that stands on z, from a side and from above."""
+    """A mesh that is on z, from a side and from above."""
     mesh = read_mesh(path)
     similarity = of_points(mesh.vertices)
     mesh = similarity.mesh_to_local(mesh)

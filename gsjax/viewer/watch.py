@@ -67,7 +67,7 @@ def watch(
     viewed = view_data_set(Path(scene).resolve().name, loaded, settings.model.background, settings.model.depth_mode)
     snapshots = Snapshots(settings.schedule.steps)
     with Page(viewed, host=host, port=port, news=snapshots.news, share=SHARE) as page:
-        _tell(f"{page.address} shows the training while it goes on")
+        _tell(f"{page.address} shows the running training")
         answering = Thread(target=page.work, name="page")
         answering.start()
         try:
@@ -78,7 +78,7 @@ def watch(
 
 
 class Snapshots:
-    """Hands Gaussians of a training, which reports every step, to the page, which requests them now and then.
+    """Pass Gaussians of a training, which reports every step, to the page, which requests them now and then.
 
     A step without a request costs one test of a flag.
     """

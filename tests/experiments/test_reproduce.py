@@ -68,7 +68,7 @@ def test_scenes_are_found_in_the_root_and_in_the_archives_folders(scripts, tmp_p
     with pytest.raises(InputError, match="holds none of room, counter"):
         discover(tmp_path / "db/playroom")
     place(tmp_path / "360_v2", "room", "images_2")
-    with pytest.raises(InputError, match="room lies there twice"):
+    with pytest.raises(InputError, match="room is there twice"):
         discover(tmp_path)
 
 

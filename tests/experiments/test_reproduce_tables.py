@@ -10,10 +10,10 @@ METHOD = "gsjax paper_6k_15k, refined"
 @pytest.fixture
 def tables(scripts):
     """Tables of hand-made scores: two seeds of truck and train, one run of kitchen, nothing of Deep Blending."""
-    Measured, report = scripts("paper.measured").Measured, scripts("paper.report")
+    RunScore, report = scripts("paper.measured").RunScore, scripts("paper.report")
     scores = {("truck", 0): (24.0, 0.86), ("truck", 1): (25.0, 0.88), ("train", 0): (20.0, 0.74),
               ("train", 1): (22.0, 0.76), ("kitchen", 0): (30.125, 0.9)}  # fmt: skip
-    measured = [Measured(scene, METHOD, seed, *pair, None, 9) for (scene, seed), pair in scores.items()]
+    measured = [RunScore(scene, METHOD, seed, *pair, None, 9) for (scene, seed), pair in scores.items()]
     return report.tables(measured, [METHOD], {"truck": "truck: limited to 5% & 3_000 Gaussians."})
 
 

@@ -34,7 +34,7 @@ def test_the_help_of_a_command_has_an_example_that_parses(command, capsys):
         (["train", "s", "--out", "r", "--downscale", "inf"], "argument --downscale: inf: not a finite number"),
         (
             ["train", "s", "--out", "r", "--coordinator", "x:y", "--processes", "2"],
-            "--coordinator x:y: is no HOST:PORT",
+            "coordinator=x:y: is no HOST:PORT",
         ),
         (["train", "s", "--out", "r", "--port", "81"], "--port goes with --view"),
         (["train", "s", "--out", "r", "--budget", "soon"], "--budget soon: not a time, such as 90s, 10m or 1.5h"),

@@ -73,8 +73,8 @@ def test_what_cannot_be_divided_is_refused_and_leaves_nothing(trained, scene, tm
     out = tmp_path / "blocks"
     with_poses = config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "poses"}}))
     for settings, count, fault in (
-        (WISHES, 8, r"--blocks 8: .*would have . photos to train on; make fewer"),
-        (with_poses, 2, "--effects poses: what blocks find"),
+        (WISHES, 8, r"blocks=8: .*would have . photos to train on; make fewer"),
+        (with_poses, 2, "effects=poses: what blocks find"),
     ):
         with pytest.raises(InputError, match=fault):
             blocks.blocks(scene, out, settings, count)
@@ -82,7 +82,7 @@ def test_what_cannot_be_divided_is_refused_and_leaves_nothing(trained, scene, tm
     blocks.blocks(scene, out, WISHES, 2, only=[1])
     with pytest.raises(InputError, match="was begun with another blocks"):
         blocks.blocks(scene, out, WISHES, 3)
-    with pytest.raises(InputError, match="--only 3: there are blocks 1 to 2"):
+    with pytest.raises(InputError, match="only=3: there are blocks 1 to 2"):
         blocks.blocks(scene, out, WISHES, 2, only=[3])
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/letter.txt").write_text("kept")

@@ -136,7 +136,7 @@ def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp
     capfd.readouterr()
     assert cli.main(["eval", str(run)]) == 2
     message = (
-        f"{run}: its data set is no longer in {place}; `gsjax train --out {run} --resume --scene FOLDER` tells where"
+        f"{run}: its data set is no longer in {place}; `gsjax train --out {run} --resume --scene FOLDER` sets where"
     )
     assert message in capfd.readouterr().err
     assert cli.main(["eval", str(run), "--scene", str(again), "--json", str(tmp_path / "scores.json")]) == 0

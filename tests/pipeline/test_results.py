@@ -46,7 +46,7 @@ def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp
     )
     report = pipeline.mesh(moved, tmp_path / "mesh.ply", **FEW_POINTS)
     assert report["photo_refine"] is None
-    message = f"mesh: goes on without its photos: {moved}: its data set is no longer in {tmp_path / 'gone'}; "
+    message = f"mesh: continues without its photos: {moved}: its data set is no longer in {tmp_path / 'gone'}; "
     assert message in capsys.readouterr().err
     assert pipeline.mesh(run, tmp_path / "asked.ply", photo_refine=False, **FEW_POINTS) == report
     assert (tmp_path / "asked.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
@@ -87,7 +87,7 @@ def test_a_run_is_scored_at_other_sizes_of_its_photos(run, capsys):
         boxes = frame.pixels().image.astype(float).reshape(20, 2, 24, 2, 3).mean((1, 3))
         np.testing.assert_allclose(smaller.pixels().image, boxes, atol=0.51)
     capsys.readouterr()
-    for zoom, fault in (("2", "there are none 2 times larger"), ("-1", "--zoom -1 is not a number above 0")):
+    for zoom, fault in (("2", "there are none 2 times larger"), ("-1", "zoom=-1 is not a number above 0")):
         assert cli.main(["eval", str(run), "--zoom", zoom]) == 2
         message = capsys.readouterr().err
         assert fault in message and message.count("\n") == 1

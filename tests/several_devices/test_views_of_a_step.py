@@ -20,7 +20,6 @@ from gsjax.scene.cameras import center
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import data_parallel
 from gsjax.training.data_parallel import device_mesh
-from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.loop import Work, follow
 from gsjax.training.optimizers import make_optimizer
@@ -163,7 +162,7 @@ def test_steps_take_the_views_that_one_device_would_take_one_by_one():
 
 
 def test_views_that_are_no_multiple_of_the_devices_are_one_line():
-    with pytest.raises(InputError, match="--views-per-step 3: is no multiple of 2 devices"):
+    with pytest.raises(InputError, match="views_per_step=3: is no multiple of 2 devices"):
         device_mesh(2, 3)
 
 
@@ -180,7 +179,7 @@ SETTINGS = Settings(
 
 
 def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_on_with_one(monkeypatch):
-    monkeypatch.setattr(gradient_driven, "GRADIENT", 1e-6)
+    monkeypatch.setattr("gsjax.training.densification.gradient_driven.GRADIENT", 1e-6)
     frames = photographed(cloud(50, seed=5), CAMERAS[:3], with_mattes=True)
     optimizer = make_optimizer(Rates(), 1.0, 6)
 

@@ -53,20 +53,20 @@ class _Options:
 
     def __post_init__(self):
         if self.frames < 2:
-            raise InputError(f"--frames {self.frames}: at least 2 are needed")
+            raise InputError(f"frames={self.frames}: at least 2 are needed")
         if self.mask_below is not None and not self.panoramas:
-            raise InputError(f"--mask-below {self.mask_below:g}: is for panoramas of 360 degrees, add --panoramas")
+            raise InputError(f"mask_below={self.mask_below:g}: is for panoramas of 360 degrees")
         if self.mask_below is not None and not 0 <= self.mask_below < 90:
-            raise InputError(f"--mask-below {self.mask_below:g}: degrees below the horizon are from 0 to less than 90")
+            raise InputError(f"mask_below={self.mask_below:g}: degrees below the horizon are from 0 to less than 90")
         files = [Path(file) for file in (self.weights, self.matcher_weights) if file is not None]
         if self.features == "sift" and files:
-            raise InputError("--weights and --matcher-weights go with --features aliked or disk, not with SIFT")
+            raise InputError("weights and matcher_weights go with features=aliked or disk, not with SIFT")
         if self.features not in ("sift", "aliked", "disk"):
-            raise InputError(f"--features {self.features}: takes sift, aliked or disk")
+            raise InputError(f"features={self.features}: takes sift, aliked or disk")
         if self.features != "sift" and self.weights is None:
-            raise InputError(f"--features {self.features}: needs --weights FILE.onnx; no weights come with gsjax")
+            raise InputError(f"features={self.features}: needs the file of its weights; no weights come with gsjax")
         if self.features == "disk" and self.matcher_weights is not None:
-            raise InputError("--matcher-weights: OpenCV's LightGlue matches features of aliked, not of disk")
+            raise InputError("matcher_weights: OpenCV's LightGlue matches features of aliked, not of disk")
         for file in files:
             if not file.is_file():
                 raise InputError(f"{file}: no such file of weights")
@@ -122,7 +122,7 @@ def reconstruct(
     start = time.monotonic()
     photos, out = Path(photos), Path(out)
     if "frames" in options and photos.is_dir():
-        raise InputError(f"{photos}: is a folder of photos, of which all are taken; --frames is for a video")
+        raise InputError(f"{photos}: is a folder of photos, of which all are taken; frames is for a video")
     checked = _Options(**options)
     require_empty(out)
     with workspace(out) as space:

@@ -88,7 +88,7 @@ def _keypoints(image) -> np.ndarray:
 
 
 def _undistorted(image, view: PinholeView) -> np.ndarray:
-    """`[N, 2]` pixels of the view where the photo's features lie."""
+    """`[N, 2]` pixels of the view where the photo's features are."""
     return image.camera.cam_from_img(_keypoints(image)) * view.K[[0, 1], [0, 1]] + view.K[:2, 2]
 
 

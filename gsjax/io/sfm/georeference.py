@@ -50,14 +50,14 @@ class _Motion(NamedTuple):
 
 
 def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | None = None) -> Georeference:
-    """Fit the place of a model, of `[V, 3, 4]` viewmats of its photos as they stand upright, and of their GPS.
+    """Fit the place of a model, of `[V, 3, 4]` viewmats of its photos as they are upright, and of their GPS.
 
     `level` is the direction up. None: as the cameras were held.
     """
     having = np.array([index for index, fix in enumerate(fixes) if fix is not None], int)
     if len(having) < FEWEST:
         having_it = f"GPS in {len(having)} of {len(fixes)} photos" if len(having) else "no GPS in the photos"
-        return _unknown(f"unit not known: {having_it}, where {FEWEST} would tell metres; `gsjax scale` sets it")
+        return _unknown(f"unit not known: {having_it}, where {FEWEST} determine metres; `gsjax scale` sets it")
     degrees = np.array([fix for fix in fixes if fix is not None], float)
     centers = viewmat_centers(viewmats)[having]
     level = level or Up(*up_of_cameras(viewmats), "the cameras")
@@ -99,7 +99,7 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
         rotation=tuple(map(tuple, motion.rotation.tolist())),
         shift=tuple(motion.shift.tolist()),
     )
-    summary = f"metres by the {known_by}, which lie {_length(float(np.median(residual[trusted])))} from it (median)"
+    summary = f"metres by the {known_by}, which are {_length(float(np.median(residual[trusted])))} from it (median)"
     up_source = _up_source(level.source, tilt_error, altitude) if is_level else "the GPS"
     summary += f"; up by {up_source}; origin {_degrees(origin)}"
     return Georeference(place, summary, errors)
@@ -141,7 +141,7 @@ def _up_source(by: str, tilt_error: float, altitude: float | None) -> str:
     if altitude is None:
         return f"{by} (no altitudes)"
     accuracy = "not at all" if tilt_error > math.pi / 4 else f"to {math.degrees(tilt_error):.1f} degrees"
-    return f"{by} (the GPS tells it {accuracy})"
+    return f"{by} (by the GPS {accuracy})"
 
 
 def _degrees(origin: tuple[float, float, float]) -> str:
@@ -178,7 +178,7 @@ def _rigid(rows: np.ndarray, model: np.ndarray, world: np.ndarray) -> _Motion | 
 
 
 def _level(upright: np.ndarray, has_heights: np.ndarray) -> Fit:
-    """Return the fit of scale, heading and place, where the rotation that brings up to z is known."""
+    """Return the fit of scale, heading and place, where the rotation that turns up to z is known."""
 
     def fit(rows: np.ndarray, model: np.ndarray, world: np.ndarray) -> _Motion | None:
         source, target = (each[:, 0] + 1j * each[:, 1] for each in (model[rows] @ upright.T, world[rows]))

@@ -76,12 +76,12 @@ def _angles(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _of_phone(x: float, y: float, z: float) -> Vector | None:
-    """Convert an accelerometer's vector. The upright picture stands on its lowest edge."""
+    """Convert an accelerometer's vector. The upright picture is on its lowest edge."""
     size = math.sqrt(x * x + y * y + z * z)
     along = math.hypot(x, y)
     if not abs(size - 1) <= _STILL or along < _FLAT:
         return None
-    # In the sensor's frame it is (-y, -x, -z). A picture stands on its lower edge, so within 45 degrees down is down.
+    # In the sensor's frame it is (-y, -x, -z). A picture is on its lower edge, so within 45 degrees down is down.
     right, down = -y, -x
     for _ in range(4):
         if down >= abs(right):

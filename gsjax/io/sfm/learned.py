@@ -24,7 +24,7 @@ class Detector(NamedTuple):
     name: str  # of OpenCV's class
     side: int  # pixels of the square, as OpenCV has it for the published files
     create: Callable[[str, int], Any]  # from a file's name and the side
-    gain: float  # from OpenCV's pixels to those whose centres lie at +0.5: gain * xy + 0.5
+    gain: float  # from OpenCV's pixels to those whose centres are at +0.5: gain * xy + 0.5
 
 
 def _aliked(file: str, side: int) -> Any:

@@ -123,7 +123,7 @@ def list_source_photos(folder: Path) -> list[SourcePhoto]:
 def usable_photos(folder: Path) -> tuple[list[SourcePhoto], list[Fault]]:
     """List the photos of a folder and its subfolders, by name, with their masks; and the faults of damaged ones.
 
-    Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` or `mask/`, in any case, in
+    Where all photos are in a subfolder `images/`, that is their folder. A folder `masks/` or `mask/`, in any case, in
     it, next to it or next to photos holds masks (`gsjax.io.image_folders`), no photos. A file next to a photo is its
     mask if its name is that of the photo and ends in `MASK_ENDS`. Data sets, runs, scans, and folders of derived
     pictures such as `depth` or `thumbnails` hold no photos.
@@ -180,7 +180,7 @@ def as_panoramas(photos: list[SourcePhoto], mask_below: float | None) -> list[So
     """Return the photos as equirectangular panoramas, masked from `mask_below` degrees below the horizon on.
 
     Raises:
-        InputError: One of them is not twice as broad as high, or lies on its side.
+        InputError: One of them is not twice as broad as high, or is on its side.
     """
     for photo in photos:
         if not _is_panoramic(photo):
@@ -193,7 +193,7 @@ def as_panoramas(photos: list[SourcePhoto], mask_below: float | None) -> list[So
 
 def panorama_hint(photos: list[SourcePhoto]) -> str:
     """Return a hint, where all photos have the shape of panoramas, for the reason why photos have no pose."""
-    return "; if it shows 360 degrees, add --panoramas" if all(_is_panoramic(photo) for photo in photos) else ""
+    return "; if it shows 360 degrees, set panoramas" if all(_is_panoramic(photo) for photo in photos) else ""
 
 
 def _is_panoramic(photo: SourcePhoto) -> bool:

@@ -1,4 +1,4 @@
-"""The terms of the training loss: each one record, the library's by name in `TERMS`; a run's own are handed in.
+"""The terms of the training loss: each one record, the library's by name in `TERMS`; a run's own are arguments.
 
 To add one, write a function of (Gaussians, View, Batch) and say what it needs: `Term(loss, needs)`.
 """
@@ -17,13 +17,13 @@ NEEDS = {
     "depth": "the rendered depth, `View.depth`",
     "axes": "the splats' smallest axes composited, `View.axes`",
     "normals": "the normal map of the photo, `Batch.normals`",
-    "measured": "depth that was measured beside the photo, `Batch.depth`",
-    "neighbor": "a second view beside the first, `View.neighbor`",
+    "measured": "measured depth of the photo, `Batch.depth`",
+    "neighbor": "a second view, `View.neighbor`",
     "sky": "where the photo shows open sky, `Batch.sky`",
     "matte": "the alpha channel of the photo, `Batch.matte`; without one the term is left out",
     "gaussians": "the Gaussians themselves, not their picture alone",
 }
-"""What a term may need beside the image, and where it finds it."""
+"""What a term may need in addition to the image, and where it finds it."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Term:
     """(Gaussians, `gsjax.rendering.View`, `gsjax.scene.batches.Batch`) -> a mean."""
 
     needs: Iterable[str] = frozenset()
-    """Words of `NEEDS`. What nobody needs is neither rendered nor loaded."""
+    """Words of `NEEDS`. What no term needs is neither rendered nor loaded."""
 
     def __post_init__(self):
         """Check the words."""
@@ -59,7 +59,7 @@ def align_normals(estimator: Callable[..., Float[Array, "H W 3"]], needs: Iterab
 
 
 @dataclass(frozen=True)
-class Weighed:
+class LossTerm:
     """A term as a phase has it."""
 
     name: str
@@ -90,7 +90,7 @@ TERMS: Mapping[str, Term] = {
 """The library's own: of the image (3DGS), of the paper (`sdf_normal` is its R), and those of other mesh makers."""
 
 
-def weigh_terms(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS) -> tuple[Weighed, ...]:
+def weigh_terms(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS) -> tuple[LossTerm, ...]:
     """The terms of non-zero weight, in the order of `terms`; only these are compiled.
 
     Raises:
@@ -101,14 +101,14 @@ def weigh_terms(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS)
             nearest = difflib.get_close_matches(name, terms, n=1, cutoff=0.0)
             hint = f"; the nearest known one is '{nearest[0]}'" if nearest else ""
             raise InputError(f"weights.{name}: no such term of the loss{hint}")
-    return tuple(Weighed(name, weights[name], term) for name, term in terms.items() if weights.get(name, 0.0))
+    return tuple(LossTerm(name, weights[name], term) for name, term in terms.items() if weights.get(name, 0.0))
 
 
 def weights_of_data(need: str, weight: float) -> dict[str, float]:
-    """The weights of the library's terms that compare with this data, a word of `NEEDS`: data bring their terms."""
+    """The weights of the library's terms that compare with this data, a word of `NEEDS`: data enable their terms."""
     return {name: weight for name, term in TERMS.items() if need in term.needs}
 
 
-def needs(terms: Iterable[Weighed]) -> frozenset[str]:
+def needs(terms: Iterable[LossTerm]) -> frozenset[str]:
     """All that any of the terms needs, words of `NEEDS`."""
     return frozenset(word for each in terms for word in each.term.needs)

@@ -17,7 +17,7 @@ from gsjax.rendering.depth import DepthReading
 from gsjax.scene import batches
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
-from gsjax.training.terms import NEEDS, Term, Weighed
+from gsjax.training.terms import NEEDS, LossTerm, Term
 from gsjax.training.terms.multi_view import render_neighbor
 
 DATA_NEEDS = tuple(word for word in NEEDS if word != "gaussians")  # which are always at hand
@@ -44,7 +44,7 @@ def _as_term(name: str, loss: Any) -> Term:
     return Term(loss, {"gaussians", *(missing or ())})
 
 
-def check_term(each: Weighed, width: int, height: int, depth_mode: DepthReading) -> None:
+def check_term(each: LossTerm, width: int, height: int, depth_mode: DepthReading) -> None:
     """Try a term with what it needs, and with nothing else, on photos of a size.
 
     Raises:
@@ -73,7 +73,7 @@ def check_term(each: Weighed, width: int, height: int, depth_mode: DepthReading)
         raise _refusal(each, f"cannot be differentiated: {_in_words(error)}") from error
 
 
-def _refusal(each: Weighed, fault: str) -> InputError:
+def _refusal(each: LossTerm, fault: str) -> InputError:
     return InputError(f"the loss term '{each.name}' {fault}")
 
 

@@ -90,7 +90,7 @@ def depth_normal(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     """Normals of the splats against those of the depth that they render: mean of A sum_i w_i (1 - n_i . n_D) (2DGS).
 
     n_i is a Gaussian's smallest axis, facing the camera (2DGS: the disc's normal), n_D the normal of the depth map.
-    A = sum_i w_i stands for the pixel's trust and carries no gradient, as in the authors' code: or a pixel whose
+    A = sum_i w_i is the pixel's trust and carries no gradient, as in the authors' code: or a pixel whose
     normals disagree would become transparent. Over the pixels whose depth has a normal.
 
     Differentiable to rotations, and through the depth to means, scales and opacities.

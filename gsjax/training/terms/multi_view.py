@@ -1,4 +1,4 @@
-"""A view against a neighbour: the same surface must stand at the same place and look the same (PGSR's consistencies).
+"""A view against a neighbour: the same surface must be at the same place and look the same (PGSR's consistencies).
 
 Every step has a neighbour of its view with it, drawn from a short list, and renders its depth too. Without the terms
 there is neither list nor second render.
@@ -29,7 +29,7 @@ ROUNDING = 1e-3  # pixels: that near to its start, it is there
 UNLIKE = 0.9  # 1 - NCC from which two windows show different things (PGSR)
 NOISE = 2 / 255  # standard deviation of a window's grey levels that tells nothing
 FILLED = 0.2  # of a window's weight, what must count for it to be compared; the corner of a photo has a third
-HOME = 1.0  # pixels from where it started that a pixel may land to count; beyond, something stands in between (PGSR)
+HOME = 1.0  # pixels from where it started that a pixel may land to count; beyond, something is in between (PGSR)
 
 
 def multi_view(gaussians: Gaussians, view: View, batch: Batch) -> Array:
@@ -145,7 +145,7 @@ def with_neighbors(views: Batches, extent: float, shares: np.ndarray | float = 1
 def nearest_views(viewmats: np.ndarray, extent: float) -> np.ndarray:
     """`[V, NEAREST]` indices of each view's neighbours among `[V, 4, 4]` viewmats, the nearest first, repeated.
 
-    Neighbours look the same way to within `WIDEST` and stand `APART`. A view without any is its own neighbour: its
+    Neighbours look the same way to within `WIDEST` and are `APART`. A view without any is its own neighbour: its
     pixels come home exactly, which requires nothing.
     """
     axes, rotations = viewmats[:, 2, :3], viewmats[:, :3, :3]

@@ -15,7 +15,7 @@ from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.observations import observe
 from gsjax.errors import InputError
 from gsjax.planning.effects import choose_effects
-from gsjax.planning.validation import Validated
+from gsjax.planning.validation import ValidationGain
 from gsjax.rendering import backdrop
 from gsjax.scene import with_pixels
 from gsjax.scene.cameras import Camera
@@ -109,7 +109,7 @@ def test_a_sky_starts_as_the_photos_show_it():
 
 def confirm(observations, proposed):
     """A validation in which every effect passes."""
-    return dict.fromkeys(proposed, Validated(1.0, 0.1))
+    return dict.fromkeys(proposed, ValidationGain(1.0, 0.1))
 
 
 def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
@@ -119,7 +119,7 @@ def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
     assert "background" not in laid.effects
     record = laid.evidence["evidence"]["background"]
     assert not record["on"] and record["evidence"] == 1.0
-    assert record["note"].startswith("off: --background white lays that colour there; ")
+    assert record["note"].startswith("off: the background is white; ")
     over_black = choose_effects(
         "auto", replace(auto, background="black"), white, lambda *_: pytest.fail("nothing is in doubt")
     )

@@ -68,7 +68,7 @@ def test_the_sky_is_found_to_its_outline_and_nothing_else(sky_scene):
 def test_a_backdrop_that_goes_on_below_the_horizon_is_no_sky_and_one_that_is_asked_for_is_one_line():
     scene, truth = yard(lawn=3.0, sky=flat_white)
     assert all(mask.mean() > 0.2 for mask in truth.values())
-    with pytest.raises(InputError, match="show no sky; --sky DIR takes masks of it"):
+    with pytest.raises(InputError, match="show no sky; effects.sky takes a folder of masks"):
         choose_effects("none", plan(Settings()), scene, with_sky=True)
 
 

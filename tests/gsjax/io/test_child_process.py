@@ -72,11 +72,11 @@ def test_errors_keep_their_kind_and_notices_are_shown_here(capsys):
 
 
 def test_an_interrupt_here_ends_the_process_there(tmp_path):
-    class Interrupted(tqdm):
+    class Interruption(tqdm):
         def update(self, n=1):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_in_child(sleep, tmp_path / "pid", name="it", progress=partial(Interrupted, disable=True))
+        run_in_child(sleep, tmp_path / "pid", name="it", progress=partial(Interruption, disable=True))
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)

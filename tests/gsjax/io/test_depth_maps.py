@@ -84,11 +84,11 @@ def write_array(file):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda file: shutil.rmtree(file.parent), "--depth depth: no such folder of depth maps, in .* or here"),
+        (lambda file: shutil.rmtree(file.parent), "depth=depth: no such folder of depth maps, in .* or here"),
         (lambda file: write_png(file, RAMP.astype(np.uint8)), "depth/a.png: a picture of 8 bits; a depth map has 16"),
         (lambda file: write_png(file, RAMP[:, :5]), "a.png: depth map is 5x8, its photo 12x8; one of them is turned"),
         (lambda file: file.rename(f"{file}.png"), "depth: no depth map in it has the name of a photo, as a.png"),
-        (lambda file: None, "depth: the unit of its depth is not stated; --depth-unit mm, or depth.json in it"),
+        (lambda file: None, "depth: its unit of depth is not stated; set supervision.depth_unit, or"),
         (write_array, r"depth/a.npy: an array of shape \[8, 12, 3\] and type float32, not a depth map"),
         (lambda file: file.write_bytes(file.read_bytes()[:60]), "depth/a.png: not a whole picture of one channel"),
     ],
@@ -195,7 +195,7 @@ def listed(tmp_path):
 def test_maps_that_transforms_lists_are_read_in_its_unit(listed, root, unit, metres, named):
     scene = load_scene(listed(**root), hold_out="none")
     measured = measured_depth(scene, Supervision(depth="auto", depth_unit=unit))
-    assert measured is not None and f"of 8 of 8 photos, {named}; no points tell the scale" in measured.line
+    assert measured is not None and f"of 8 of 8 photos, {named}; no points determine the scale" in measured.line
     for depth, trust in measured.depths(2):
         np.testing.assert_allclose(depth, scene.similarity.length_to_local(metres), rtol=1e-5)
         assert (trust == 255).all()

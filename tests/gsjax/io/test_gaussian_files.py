@@ -36,7 +36,7 @@ def test_a_file_of_local_coordinates_is_never_without_what_tells_them(tmp_path, 
     with pytest.raises(InputError, match="No space left"):
         gsjax.save_gaussians(far, tmp_path / name)
     monkeypatch.undo()
-    with pytest.raises(InputError, match=f"{name}: Gaussians that lie so far off have no place in it"):
+    with pytest.raises(InputError, match=f"{name}: Gaussians that are so far off have no place in it"):
         gsjax.save_gaussians(replace(far, means=far.means * [0, 1, 1] + [1e30, 0, 0]), tmp_path / name)
     assert not list(tmp_path.iterdir())
     gsjax.save_gaussians(far, tmp_path / name)

@@ -113,7 +113,7 @@ def test_gps_on_a_line_leaves_up_to_the_cameras_and_says_so():
     viewmats, fixes, places = flight(MUNICH, noise=0.3, path="line")
     solution = georeference(viewmats, fixes)
     tilt, off = errors(viewmats, solution.place, places)
-    assert "up by the cameras (the GPS tells it" in solution.summary
+    assert "up by the cameras (by the GPS " in solution.summary
     assert tilt < 2 and off < 0.03  # What is held to 2 degrees by each of 40 hands.
 
 

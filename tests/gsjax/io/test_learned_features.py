@@ -127,8 +127,8 @@ def test_what_does_not_go_together_is_refused_before_anything_is_read(tmp_path):
     (tmp_path / "weights.onnx").write_bytes(b"")
     file = tmp_path / "weights.onnx"
     for options, message in (
-        ({"features": "aliked"}, "--features aliked: needs --weights FILE.onnx"),
-        ({"weights": file}, "go with --features aliked or disk, not with SIFT"),
+        ({"features": "aliked"}, "features=aliked: needs the file of its weights"),
+        ({"weights": file}, "go with features=aliked or disk, not with SIFT"),
         ({"features": "disk", "weights": file, "matcher_weights": file}, "LightGlue matches features of aliked"),
         ({"features": "disk", "weights": tmp_path / "none.onnx"}, "none.onnx: no such file of weights"),
     ):

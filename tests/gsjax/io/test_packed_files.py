@@ -134,7 +134,7 @@ def test_spz_by_hand(tmp_path, version, tolerance):
 def test_axes_of_its_own_in_an_spz_are_refused(tmp_path):
     axes = version_4(*by_hand(4, ROTATIONS[3]), extensions=struct.pack("<IIB", 0xADBE0003, 1, 6))
     (tmp_path / "g.spz").write_bytes(axes)
-    with pytest.raises(InputError, match=r"g\.spz: tells axes of its own"):
+    with pytest.raises(InputError, match=r"g\.spz: states axes of its own"):
         read_spz(tmp_path / "g.spz")
 
 
@@ -214,9 +214,9 @@ def test_what_no_file_can_hold_is_refused_by_name(tmp_path, name):
         getattr(broken, field)[4, ...] = np.nan
         with pytest.raises(InputError, match=rf"cannot write .*{name}: {field} of 1 of 9 Gaussians not finite"):
             write(tmp_path / name, broken)
-    with pytest.raises(InputError, match=r"up to degree 3, not 4; --sh-degree 3 leaves out the rest"):
+    with pytest.raises(InputError, match=r"up to degree 3, not 4; sh_degree=3 leaves out the rest"):
         write(tmp_path / name, some_gaussians(9, 4))
-    with pytest.raises(InputError, match=r"g.spz: a mean lies at 9e\+06, SPZ reaches 8388607"):
+    with pytest.raises(InputError, match=r"g.spz: a mean is at 9e\+06, SPZ reaches 8388607"):
         write_spz(tmp_path / "g.spz", some_gaussians(3, 0, offset=9e6))
     assert not list(tmp_path.iterdir())
 
@@ -253,7 +253,7 @@ def bomb(version, more=10**8):
 
 
 @pytest.mark.parametrize(
-    ("version", "message"), [(3, "goes on for more than 1048576 bytes"), (4, "array 1 of 6 is not")]
+    ("version", "message"), [(3, "continues for more than 1048576 bytes"), (4, "array 1 of 6 is not")]
 )
 def test_an_spz_of_more_than_memory_holds_is_refused_in_little_memory(tmp_path, version, message):
     (tmp_path / "g.spz").write_bytes(bomb(version))

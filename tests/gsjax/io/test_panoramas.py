@@ -87,5 +87,5 @@ def test_what_is_no_panorama_is_refused(tmp_path):
         Image.fromarray(np.zeros((40, 60, 3), np.uint8)).save(tmp_path / f"{name}.png")
     with pytest.raises(InputError, match="a.png: is 60x40; a panorama of 360 degrees is twice as broad as high"):
         source_photos.as_panoramas(source_photos.list_source_photos(tmp_path), None)
-    with pytest.raises(InputError, match="--mask-below 30: is for panoramas of 360 degrees, add --panoramas"):
+    with pytest.raises(InputError, match="mask_below=30: is for panoramas of 360 degrees"):
         reconstruct(tmp_path, tmp_path / "scene", mask_below=30.0)

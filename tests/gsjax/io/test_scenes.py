@@ -216,7 +216,7 @@ def test_truncated_images_are_left_out_and_named(colmap_scene, share, suffix, ca
 
 
 def test_a_folder_that_is_no_data_set_is_told_what_is_looked_for(tmp_path):
-    with pytest.raises(InputError, match=r"no data set; looked for sparse/0/cameras.bin .*transforms_train.json"):
+    with pytest.raises(InputError, match=r"no data set; searched sparse/0/cameras.bin .*transforms_train.json"):
         load_scene(tmp_path)
     for name in ("nowhere", 300 * "x"):
         with pytest.raises(InputError, match="no such folder"):

@@ -138,7 +138,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path):
         list_source_photos(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"photos: needs at least 2 photos .*, has 1"):
         list_source_photos(noise_photos(tmp_path / "one/photos", 1))
-    with pytest.raises(InputError, match="--frames 1: at least 2"):
+    with pytest.raises(InputError, match="frames=1: at least 2"):
         reconstruct(photos / "0.png", tmp_path / "scene", frames=1)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["one", "photos"]
     for out, message in ((tmp_path / "one", "exists and is not empty"), (photos / "0.png/below", "cannot write")):

@@ -133,8 +133,8 @@ def test_a_list_in_a_file_and_the_data_sets_own_list(tmp_path):
     [
         ("list.txt", b"#\n\n007.jpeg", "list.txt, line 3: there is no photo 007.jpeg; the nearest name is 007.jpg"),
         ("list.txt", b"\xff\xfe\x00", "list.txt: cannot be read as a list of photos"),
-        ("gone.txt", b"", "gone.txt: no such list of photos; --hold-out takes a number, none, or a file"),
-        ("1", b"", "--hold-out 1: every N-th photo needs an N of at least 2"),
+        ("gone.txt", b"", "gone.txt: no such list of photos; hold_out takes a number, none, or a file"),
+        ("1", b"", "hold_out=1: every N-th photo needs an N of at least 2"),
     ],
 )
 def test_what_is_no_split_is_one_line(tmp_path, monkeypatch, hold_out, content, message):

@@ -80,15 +80,15 @@ def test_one_entry_registers_a_method_for_its_name_the_help_and_auto(monkeypatch
     assert methods_of("planes", MethodOptions(trim_quantile=0.1)) == {"planes": own}
     assert list(methods_of("auto", MethodOptions())) == ["poisson", "tsdf", "planes"]
     assert "  planes: planes by hand\n      --trim-quantile" in methods_help()
-    with pytest.raises(InputError, match="^--method nurbs is none of auto, poisson, tsdf, planes$"):
+    with pytest.raises(InputError, match="^method=nurbs is none of auto, poisson, tsdf, planes$"):
         methods_of("nurbs", MethodOptions())
 
 
 @pytest.mark.parametrize(
     ("method", "options", "fault"),
     [
-        ("auto", {"cell": 0.1, "level": 0.2}, "no method reads --cell and --level together"),
-        ("poisson", {"cell": 0.1}, "--cell is an option of the method tsdf; poisson does not read it"),
+        ("auto", {"cell": 0.1, "level": 0.2}, "no method reads cell and level together"),
+        ("poisson", {"cell": 0.1}, "cell is an option of the method tsdf; poisson does not read it"),
     ],
 )
 def test_an_option_that_the_method_does_not_read_is_refused(method, options, fault):

@@ -102,7 +102,7 @@ def test_what_is_nearest_to_a_side_that_no_camera_saw_does_not_count():
     share = 0.52 / 6.52  # Of the area, with its sides of 0.01; an underside that is not seen makes it 0.52 / 5.52.
     assert wrong["accuracy"] == pytest.approx(0.1 * share * 6.52 / 5.52, rel=0.05)
     assert wrong["completeness"] < 1e-7
-    with pytest.raises(InputError, match=r"no surface of the mesh \(12 faces\) lies where cameras saw"):
+    with pytest.raises(InputError, match=r"no surface of the mesh \(12 faces\) is where cameras saw"):
         geometry.compare_to_surface(under, box(), *seen_of_box(), closest_on_mesh, samples=1_000)
 
 

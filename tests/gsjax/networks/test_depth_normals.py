@@ -109,7 +109,7 @@ def test_photos_that_the_network_gets_wrong_are_named_and_empty_and_without_trac
     assert report["fit"].startswith("0.0 % off the tracks' depth, explains 1.00")
     coverage = [np.any(read(), -1).mean() for read in normal_maps(tmp_path / "maps", scene.frames).values()]
     assert coverage[0] > 0.99 and coverage[1:] == [0, 0]
-    with pytest.raises(InputError, match="has no tracks of structure from motion, which tell scale and shift"):
+    with pytest.raises(InputError, match="has no tracks of structure from motion, which set scale and shift"):
         DepthNormals(DepthEstimator(RECORD, network(tmp_path / "w.onnx")), replace(scene, tracks=None))
 
 

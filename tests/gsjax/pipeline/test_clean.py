@@ -60,7 +60,7 @@ def test_planted_dirt_is_found_by_its_kind_nothing_else_is_and_all_of_it_comes_b
     }
     assert_close(load_gaussians(file).means, np.asarray(gaussians.means)[kinds == "scene"])
     assert (run / "gaussians.ply.cleaned.png").stat().st_size > 1000
-    with pytest.raises(InputError, match="was cleaned before; `gsjax clean .* --undo` brings back"):
+    with pytest.raises(InputError, match="was cleaned before; `gsjax clean .* --undo` restores"):
         clean(run)
     assert undo(run) == {"gaussians": len(kinds), "back": int((kinds != "scene").sum())}
     assert file.read_bytes() == before
@@ -101,8 +101,8 @@ def test_a_file_without_cameras_loses_what_hangs_on_nothing_and_lies_outside_a_c
     assert report["cropped"] == (~inside).sum() - report["isolated"] - report["giants"]
     for wrong, message in (
         ({"sphere": (9, 9, 9, 1)}, "none of its .* would be left"),
-        ({"box": (1, 0, 0, 0, 1, 1)}, "--box 1"),
-        ({"crop_to_cameras": True}, "comes without cameras; --crop-to-cameras needs a run, or --scene"),
+        ({"box": (1, 0, 0, 0, 1, 1)}, "box 1"),
+        ({"crop_to_cameras": True}, "comes without cameras, and a crop to cameras needs"),
     ):
         with pytest.raises(InputError, match=message):
             clean(bare, tmp_path / "none.ply", **wrong)

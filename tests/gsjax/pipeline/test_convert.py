@@ -85,9 +85,9 @@ def test_a_file_without_gaussians_is_one_of_each_format(tmp_path, cloud, suffix)
         ("in.ply", "out.splat", [], "out.splat: files of Gaussians end in .compressed.ply, .ply, .sog, .spz"),
         ("short.spz", "out.ply", [], "short.spz: truncated or damaged"),
         ("in.ply", "in.ply/out.spz", [], "cannot write"),
-        ("in.ply", "out.spz", ["--min-opacity", "nan"], "--min-opacity nan is not between 0 and 1"),
-        ("in.ply", "out.spz", ["--crop", *"345912"], "--crop 3 4 5 9 1 2: a lower side is above its upper one"),
-        ("in.ply", "out.spz", ["--crop", *"777888"], "in.ply: none of its 60 Gaussians is wanted by"),
+        ("in.ply", "out.spz", ["--min-opacity", "nan"], "min_opacity=nan is not between 0 and 1"),
+        ("in.ply", "out.spz", ["--crop", *"345912"], "crop 3 4 5 9 1 2: a lower side is above its upper one"),
+        ("in.ply", "out.spz", ["--crop", *"777888"], "in.ply: none of its 60 Gaussians is left by"),
     ],
 )
 def test_faults_are_one_line_and_leave_nothing(cloud, tmp_path, capsys, source, out, options, message):

@@ -146,7 +146,7 @@ def test_every_known_network_is_fed_and_read_as_its_record_says(tmp_path, networ
 
 
 REFUSED = {
-    "unknown class": ({}, ["dog"], r"--classes dog: the network knows person, tree, sky"),
+    "unknown class": ({}, ["dog"], r"classes=dog: the network knows person, tree, sky"),
     "four classes": ({"classes": [*CLASSES, "car"]}, ["car"], r"gives \[1, 3, 40, 60\], not a score for each of 4"),
     "two of one name": ({"classes": ["sky", "sky"]}, ["sky"], r"r.json: classes=sky, sky are none, or one .* twice"),
     "no such output": ({"output": {"names": ["mask"]}}, ["sky"], r"w.onnx: gives no classes \(mask\); .* scores"),
@@ -170,6 +170,6 @@ def test_masks_that_are_there_are_not_lost(tmp_path):
     (photos / "masks/a.png").write_bytes(b"mine")
     with pytest.raises(InputError, match="photos/masks: exists and is not empty"):
         pipeline.masks(photos, "u2net", tmp_path / "w.onnx")
-    with pytest.raises(InputError, match="--network mine: neither a known network .pphumanseg, u2net, skyseg. nor"):
+    with pytest.raises(InputError, match="network=mine: neither a known network .pphumanseg, u2net, skyseg. nor"):
         pipeline.masks(photos, "mine", tmp_path / "w.onnx")
     assert (photos / "masks/a.png").read_bytes() == b"mine"

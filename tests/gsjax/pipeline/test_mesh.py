@@ -176,7 +176,7 @@ def test_stereo_depth_is_of_the_training_view_of_its_name(lumpy, tmp_path, monke
     monkeypatch.setattr(mesh_views, "stereo_maps", lambda _: stereo)
     views = partial(mesh_views.MeshViews, with_owners=False)
     assert {index: depth[0, 0] for index, depth in views(result, "of the photos").stereo.items()} == {2: 2, 4: 5, 8: 9}
-    assert capsys.readouterr().err == "mesh: depth that photos agree about: 3 of 9 photos\n"
+    assert capsys.readouterr().err == "mesh: multi-view consistent depth: 3 of 9 photos\n"
     assert views(result, None).stereo == {} and views(result, None).stereo_counts
     run = shutil.copytree(lumpy["unmasked"], tmp_path / "run")
     write_stereo_maps(run, {"3.png": stereo["5.png"]})
@@ -203,11 +203,11 @@ def test_pictures_that_memory_does_not_hold_are_rendered_again_and_are_the_same(
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, tsdf"),
-        ({"background_bounds": [0, 0, 0, 1, 1, 1]}, "--background-bounds needs --bounds"),
-        ({"bounds": [0, 0, 0, 1, 1, float("inf")]}, "--bounds 0 0 0 1 1 inf: not all of its sides are finite"),
-        ({"cell": 1e-9, "method": "tsdf"}, "--cell 1e-09: makes "),
-        ({"points": 10**13}, "--points 10000000000000 takes 2.24e"),
+        ({"method": "nurbs"}, "method=nurbs is none of auto, poisson, tsdf"),
+        ({"background_bounds": [0, 0, 0, 1, 1, 1]}, "background_bounds needs bounds"),
+        ({"bounds": [0, 0, 0, 1, 1, float("inf")]}, "bounds 0 0 0 1 1 inf: not all of its sides are finite"),
+        ({"cell": 1e-9, "method": "tsdf"}, "cell=1e-09: makes "),
+        ({"points": 10**13}, "points=10000000000000 takes 2.24e"),
         ({"bounds": [5, 5, 5, 6, 6, 6]}, "holds none of 2000 Gaussians, which span"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",

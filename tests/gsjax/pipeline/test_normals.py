@@ -206,7 +206,7 @@ def test_maps_of_another_model_or_origin_are_never_overwritten(tmp_path):
     pipeline.normals(scene, record, weights, maps)
     before = {f: f.read_bytes() for f in maps.rglob("*.*")}
     other = color_network(tmp_path / "other.onnx", gain=1.0)
-    with pytest.raises(InputError, match=r"maps: its maps were made with sha256 = \w{12}, not \w{12}; .* --out"):
+    with pytest.raises(InputError, match=r"maps: its maps were made with sha256 = \w{12}, not \w{12}; choose another"):
         pipeline.normals(scene, record, other, maps)
     with pytest.raises(InputError, match=r'made with record.axes = "opencv", not "dsine"'):
         pipeline.normals(scene, write_record(tmp_path / "r.json", axes="dsine"), weights, maps)
@@ -261,7 +261,7 @@ def test_files_that_cannot_serve_are_named(tmp_path):
     (tmp_path / "text.onnx").write_text("no graph")
     write_record(tmp_path / "a.json", axis="opencv")
     write_record(tmp_path / "b.json", size={"rule": "multiple", "multiple": 0})
-    unknown = r"--network marigold: neither a known network \(moge2, .*, midas, depth_anything_v2\) nor a file"
+    unknown = r"network=marigold: neither a known network \(moge2, .*, midas, depth_anything_v2\) nor a file"
     for message, data, network, graph in (
         ("nowhere.onnx: no such file of weights", scene, record, tmp_path / "nowhere.onnx"),
         (r"text.onnx: no ONNX graph that onnxruntime [\d.]+ loads", scene, record, tmp_path / "text.onnx"),
@@ -283,7 +283,7 @@ def test_files_that_cannot_serve_are_named(tmp_path):
 
 def test_training_finds_maps_by_the_networks_name(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "scene")
-    with pytest.raises(InputError, match=r"--normals: .*scene holds none; name one, or make one with gsjax normals"):
+    with pytest.raises(InputError, match=r"normals: .*scene holds none; name one, or make one with gsjax normals"):
         normal_folders.find(scene, "auto")
     pipeline.normals(scene, write_record(tmp_path / "r.json"), color_network(tmp_path / "w.onnx"))
     folder = str(scene / "normals_r")

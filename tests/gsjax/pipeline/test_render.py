@@ -145,10 +145,10 @@ def test_a_mesh_has_depth_and_normals_and_is_seen_along_a_path(tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "--out", "film.avi", "--through-photos"], "--out film.avi: a film ends in .mp4, .webm, .gif"),
-        (["run", "--out", "film.mp4"], "--out film.mp4: a film needs --turntable, --through-photos or --path"),
-        (["run", "--out", "film.mp4", "--turntable", "--size", "641x480"], "--size 641x480: sides are even, and betwe"),
-        (["run", "--out", "pictures", "--fps", "10"], "--fps is for films, and --out pictures does not end in .mp4"),
+        (["run", "--out", "film.avi", "--through-photos"], "out=film.avi: a film ends in .mp4, .webm, .gif"),
+        (["run", "--out", "film.mp4"], "out=film.mp4: a film needs a path: turntable"),
+        (["run", "--out", "film.mp4", "--turntable", "--size", "641x480"], "size=641x480: sides are even, and betwe"),
+        (["run", "--out", "pictures", "--fps", "10"], "fps is for films, and out=pictures does not end in .mp4"),
         (["m.obj", "--out", "t.gif", "--through-photos"], "m.obj: has fewer than two photos to pass"),
     ],
 )

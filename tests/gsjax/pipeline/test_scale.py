@@ -109,7 +109,7 @@ def test_the_files_of_a_run_are_all_old_or_all_new_wherever_it_is_stopped(run, r
     ("pixel", "message"),
     [
         (Pixel("7.jpg", 1.0, 1.0), "has no photo 7.jpg; one is called 0.jpg"),
-        (Pixel("0.jpg", 96.5, 1.0), "0.jpg 96.5 1: lies outside the photo, which is 96x80"),
+        (Pixel("0.jpg", 96.5, 1.0), "0.jpg 96.5 1: is outside the photo, which is 96x80"),
         (Pixel("0.jpg", 48.0, 40.0), "show one point"),
     ],
 )

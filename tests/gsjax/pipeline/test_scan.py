@@ -122,7 +122,7 @@ def test_a_data_set_with_poses_is_not_reconstructed(stages, tmp_path):
     scene = tmp_path / "scene"
     (scene / "sparse/0").mkdir(parents=True)
     (scene / "sparse/0/cameras.bin").write_bytes(b"")
-    with pytest.raises(InputError, match="scene: is a data set.* --frames and --mask-below: for photos or a video"):
+    with pytest.raises(InputError, match="scene: is a data set.* frames and mask_below: for photos or a video"):
         scanned(scene, tmp_path / "scan", frames=30, mask_below=60.0)
     assert not (tmp_path / "scan").exists()
     scanned(scene, tmp_path / "scan")

@@ -91,9 +91,9 @@ def test_the_viewer_is_javascript(run, tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--out", "page.txt"], "--out page.txt: a page ends in .html"),
+        (["--out", "page.txt"], "out=page.txt: a page ends in .html"),
         (["--out", "no/such/page.html", "--mesh", "no.ply"], "no.ply: "),
-        (["--out", "page.html", "--sh-degree", "4"], "--sh-degree 4 is not between 0 and 3"),
+        (["--out", "page.html", "--sh-degree", "4"], "sh_degree=4 is not between 0 and 3"),
     ],
 )
 def test_what_cannot_be_shared_is_one_line(run, tmp_path, monkeypatch, capsys, options, message):

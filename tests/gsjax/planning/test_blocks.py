@@ -44,5 +44,5 @@ def test_a_block_has_the_photos_of_its_margin_and_those_that_see_enough_of_it():
 
 
 def test_cameras_at_fewer_places_than_blocks_are_refused():
-    with pytest.raises(InputError, match="^--blocks 3: the cameras stand at 2 places$"):
+    with pytest.raises(InputError, match="^blocks=3: the cameras are at 2 places$"):
         cut(np.array([[0.0, 0], [1, 0], [1, 0]]), 3)

@@ -103,7 +103,7 @@ def test_a_run_whose_gaussians_stay_as_many_is_scaled_in_its_steps_alone(monkeyp
 def test_the_least_budget_that_a_refusal_names_is_taken(monkeypatch):
     only = {"quick": NAMED["quick"]}
     Machine(monkeypatch, quick=0.5)
-    with pytest.raises(InputError, match=r"^--budget of 20 s is too short: even 50 steps take \d+ s") as caught:
+    with pytest.raises(InputError, match=r"^a budget of 20 s is too short: even 50 steps take \d+ s") as caught:
         budget.budgeted("scene", only, 20)
     least = float(re.search(r"take (\d+) s", str(caught.value))[1])
     assert least == np.ceil((4.0 + 6.0 + 50 * 0.5) / 0.8)

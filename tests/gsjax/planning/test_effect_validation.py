@@ -18,7 +18,7 @@ from gsjax.planning.effects import choose_effects
 from gsjax.planning.pace import relative_cost
 from gsjax.planning.sizes import training_extent
 from gsjax.planning.start import first_state
-from gsjax.planning.validation import Validated, compared
+from gsjax.planning.validation import ValidationGain, compared
 from gsjax.presets import PRESETS
 from gsjax.scene import Pixels, frame_of
 from gsjax.settings import Model, Phase, Schedule, Settings
@@ -124,7 +124,7 @@ def test_effects_are_selected_one_after_the_other():
         return [np.float64(sum(worth[name] for name in names))]
 
     def compare(without, with_effect):
-        return Validated(float(with_effect[0] - without[0]), 0.01)
+        return ValidationGain(float(with_effect[0] - without[0]), 0.01)
 
     verdicts = select(tuple(worth), predict, compare)
     useful = "exposure", "background"
@@ -162,7 +162,7 @@ def test_evidence_proposes_and_validation_decides(gain, simulated, capsys):
 
     def validate(observations, proposed):
         calls.append(list(proposed))
-        return {"exposure": Validated(0.5, 0.02), "vignetting": Validated(gain, 0.02)}
+        return {"exposure": ValidationGain(0.5, 0.02), "vignetting": ValidationGain(gain, 0.02)}
 
     choice = choose_effects("auto", plan(SETTINGS), photos, validate)
     assert calls == [["exposure", "vignetting"]]

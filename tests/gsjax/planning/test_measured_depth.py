@@ -80,7 +80,7 @@ def test_points_tell_what_a_metre_is(tmp_path, frames):
 def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path, frames):
     doubled = Similarity(2.0)  # of files in metres
     tracked = scene_of(tmp_path, frames, similarity=doubled, millimetres=500)
-    bare, metres, unknown = replace(tracked, tracks=None), "the scene is in metres", "no points tell the"
+    bare, metres, unknown = replace(tracked, tracks=None), "the scene is in metres", "no points determine the"
     for scene, unit, of_millimetres, message in (
         (tracked, "mm", 1, metres),
         (bare, "mm", 1, unknown),
@@ -107,7 +107,7 @@ def test_the_term_is_in_every_phase_unless_a_phase_says_otherwise():
     planned = plan(Settings(supervision=supervision, schedule=Schedule(phases=phases)))
     weights = [{each.name: each.weight for each in phase.terms} for phase in planned.phases]
     assert [each.get("measured_depth") for each in weights] == [0.3, 0.7, None]
-    with pytest.raises(InputError, match="phases.b.weights.measured_depth: needs measured depth, --depth DIR"):
+    with pytest.raises(InputError, match="phases.b.weights.measured_depth: needs measured depth .supervision.depth."):
         plan(Settings(schedule=Schedule(phases=phases)))
     with pytest.raises(ValueError, match="vanilla is plain 3DGS"):
         Settings(supervision=Supervision(depth="depth"), schedule=Schedule(vanilla=True))

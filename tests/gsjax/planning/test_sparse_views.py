@@ -73,12 +73,11 @@ def test_regularized_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none
 @pytest.mark.parametrize("validate", [None, never], ids=["without validation", "in a short run"])
 def test_the_angle_decides_without_validation(degrees, validate):
     """A run that begins in another's checkpoint has no beginning to try, and a short one no time."""
-    is_far = degrees > FAR_APART
     settings = SETTINGS.replace(schedule={"phases": SHORT_PHASES}) if validate else SETTINGS
     final_plan, decision = for_sparse_views(plan(settings), arc(degrees), settings.schedule, validate=validate)
-    assert final_plan == (regularize(plan(settings)) if is_far else plan(settings))
-    assert (decision is not None) == is_far
-    if is_far:
+    assert final_plan == (regularize(plan(settings)) if decision else plan(settings))
+    assert (decision is not None) == (degrees > FAR_APART)
+    if decision is not None:
         assert decision == Decision(PHOTOS, pytest.approx(degrees, abs=0.02), None, None, held_back=True)
         line = f"{PHOTOS} photos {degrees:.0f} degrees apart: sparse-view regularization with 500 Gaussians"
         assert decision.line(final_plan).startswith(line)

@@ -24,7 +24,7 @@ def test_a_new_run_says_what_was_asked_and_where_and_is_not_overwritten(run, tmp
     assert json.loads((run / "config.json").read_text()) == SETTINGS
     assert (manifest["scene"], manifest["seed"], manifest["status"]) == (str(tmp_path / "scene"), 3, "started")
     assert manifest["versions"]["numpy"] == np.__version__
-    with pytest.raises(InputError, match=r"run: this folder is not empty; continue its run with --resume"):
+    with pytest.raises(InputError, match=r"run: this folder is not empty; resume its run"):
         runs.create(run, {}, scene="other", seed=0)
     assert json.loads((run / "config.json").read_text()) == SETTINGS
 
@@ -92,7 +92,7 @@ for kind in kinds:
 
 def test_what_is_to_be_resumed_is_a_run(run, tmp_path, capsys):
     assert runs.can_resume(run)
-    with pytest.raises(InputError, match="absent: there is no run to resume; without --resume one begins"):
+    with pytest.raises(InputError, match="absent: there is no run to resume; without resume one begins"):
         runs.can_resume(tmp_path / "absent")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes.txt").write_text("kept")
@@ -145,7 +145,7 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(run, capsys):
     assert line.count("\n") == 1 and "step_0000010.npz: truncated or damaged" in line
     assert line.endswith("resuming from step_0000005.npz\n")
     (run / "checkpoints/step_0000005.npz").write_bytes(b"")
-    message = "step_0000005.npz: .*without this file, --resume begins at"
+    message = "step_0000005.npz: .*without this file, resuming begins at"
     with pytest.raises(InputError, match=message), runs.claim_run(run):
         pass
     assert (run / "checkpoints/step_0000005.npz").exists() and runs.is_run(run)

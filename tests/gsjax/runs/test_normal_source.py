@@ -116,9 +116,9 @@ def test_axes_of_a_network_stay_and_the_comparison_confirms_or_doubts_them(tilte
 
 
 def test_axes_without_maps_or_that_are_none_are_refused_before_the_run_begins(foreign, tmp_path):
-    with pytest.raises(InputError, match=r"--normal-axes opengl: there are no maps .* --normals DIR"):
+    with pytest.raises(InputError, match=r"normal_axes=opengl: there are no maps .* .supervision.normals"):
         NormalSource(tmp_path / "run", None, "opengl", FRAMES)
-    with pytest.raises(InputError, match=r"--normal-axes up: expected three signs"):
+    with pytest.raises(InputError, match=r"normal_axes=up: expected three signs"):
         NormalSource(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "up", FRAMES)
     assert not (tmp_path / "run").exists()
 

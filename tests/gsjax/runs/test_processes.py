@@ -82,7 +82,7 @@ def test_a_lost_process_ends_the_run_with_one_line_and_the_last_checkpoint_whole
     both[1].kill()
     assert both[0].wait(PATIENCE) == 2
     log = (tmp_path / "0.log").read_text().splitlines()
-    assert log[-1] == "gsjax: error: another process of this run was lost; --resume continues from the last checkpoint"
+    assert log[-1] == "gsjax: error: another process of this run was lost; resume from the last checkpoint"
     assert "Traceback" not in "".join(log)
     step, path = runs.latest_checkpoint(run)
     arrays = checkpoints.load_arrays(path)

@@ -57,7 +57,7 @@ def test_a_record_is_the_place_to_the_last_digit_and_a_statement_is_it_of_files_
 )
 def test_a_damaged_record_is_one_line(tmp_path, damage):
     (tmp_path / FILE).write_text(json.dumps({**PLACE.record(), **damage}))
-    with pytest.raises(InputError, match="tells no place of a scene"):
+    with pytest.raises(InputError, match="states no place of a scene"):
         read_place(tmp_path)
 
 

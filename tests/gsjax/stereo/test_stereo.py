@@ -65,7 +65,7 @@ def test_points_lie_on_the_wall_in_its_colours_whatever_the_exposures():
     assert np.ptp(result.points[:, 0]) > 2.5 and np.ptp(result.points[:, 1]) > 1.8, "all over what the photos show"
     brightest = np.max([frame.pixels().image.max(axis=(0, 1)) for frame in scene.frames], axis=0)
     assert result.colors.dtype == np.uint8 and (result.colors <= brightest).all()
-    assert result.line == f"{len(result.points):,} more points where photos agree about depth"
+    assert result.line == f"{len(result.points):,} more points of multi-view consistent depth"
 
 
 def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch):

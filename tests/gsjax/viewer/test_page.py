@@ -128,15 +128,15 @@ def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
         listener.bind(("127.0.0.1", 0))
         listener.listen()
         port = listener.getsockname()[1]
-        line = f"--port {port} on 127.0.0.1: Address already in use; choose another with --port"
+        line = f"port={port} on 127.0.0.1: Address already in use; choose another port"
         # Before anything is read or made.
         assert cli.main(["view", str(tmp_path / "absent"), "--port", str(port)]) == 2
         assert cli.main(["train", "absent", "--out", str(tmp_path / "run"), "--view", "--port", str(port)]) == 2
         assert capsys.readouterr().err == 2 * f"gsjax: error: {line}\n"
         assert not (tmp_path / "run").exists()
-    with pytest.raises(InputError, match="--port 65536 is not between 0 and 65535"):
+    with pytest.raises(InputError, match="port=65536 is not between 0 and 65535"):
         check_port("127.0.0.1", 65536)
-    with pytest.raises(InputError, match="--host ..: is no name of a host"):
+    with pytest.raises(InputError, match="host=..: is no name of a host"):
         check_port("..", 0)
 
 

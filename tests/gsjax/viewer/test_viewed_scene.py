@@ -70,7 +70,7 @@ def test_what_cannot_be_shown_is_one_line(tmp_path, run):
         with pytest.raises(InputError) as raised:
             open_viewed_scene(tmp_path / name)
         assert str(raised.value).startswith(f"{tmp_path / name}: {message}") and "\n" not in str(raised.value)
-    with pytest.raises(InputError, match="m.ply: is a mesh itself; --mesh goes with Gaussians"):
+    with pytest.raises(InputError, match="m.ply: is a mesh itself; a second mesh goes with Gaussians"):
         open_viewed_scene(tmp_path / "m.ply", mesh=tmp_path / "m.ply")
     with pytest.raises(InputError, match="absent.glb: no such mesh file"):
         open_viewed_scene(run, mesh=tmp_path / "absent.glb")

@@ -12,7 +12,6 @@ from gsjax.training.densification.gradient_driven import GradientStatistics
 from gsjax.training.initialize import DEAD_LOGIT
 
 EXTENT = 10.0
-DENSITY = Density()
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +47,7 @@ def gradients(mean_of, views=4):
 
 @jax.jit
 def densified(gaussians, statistics, prune_large=False, key=KEY):
-    return control.densify(gaussians, statistics, key, density=DENSITY, extent=EXTENT, prune_large=prune_large)
+    return control.densify(gaussians, statistics, key, density=Density(), extent=EXTENT, prune_large=prune_large)
 
 
 def alive(gaussians):

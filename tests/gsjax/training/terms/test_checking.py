@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.training.terms import NEEDS, TERMS, Term, Weighed
+from gsjax.training.terms import NEEDS, TERMS, LossTerm, Term
 from gsjax.training.terms.checking import as_terms, check_term
 
 
 def check(term, width=48, height=40):
     (term,) = as_terms({"mine": term}).values()
-    check_term(Weighed("mine", 0.1, term), width, height, "plane")
+    check_term(LossTerm("mine", 0.1, term), width, height, "plane")
     return frozenset(term.needs)
 
 
