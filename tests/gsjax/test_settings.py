@@ -83,8 +83,8 @@ def test_effects_are_named_in_any_order_and_unknown_ones_are_refused():
 
 
 def test_rates_that_no_file_told_are_held_to_the_same():
-    with pytest.raises(ValueError, match="opacities=inf is not a finite number"):
-        Rates(opacities=float("inf"))
+    with pytest.raises(ValueError, match="scales=inf is not a finite number"):
+        Rates(scales=float("inf"))
     with pytest.raises(ValueError, match="seed=4294967296 is not between 0 and 4294967295"):
         Refinement(seed=2**32)
 

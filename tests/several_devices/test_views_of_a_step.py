@@ -178,8 +178,7 @@ SETTINGS = Settings(
 )
 
 
-def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_on_with_one(monkeypatch):
-    monkeypatch.setattr("gsjax.training.densification.gradient_driven.GRADIENT", 1e-6)
+def test_a_run_on_two_devices_is_that_of_one_with_as_many_views_a_step_and_goes_on_with_one():
     frames = photographed(cloud(50, seed=5), CAMERAS[:3], with_mattes=True)
     optimizer = make_optimizer(Rates(), 1.0, 6)
 

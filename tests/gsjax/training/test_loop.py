@@ -31,7 +31,7 @@ SETTINGS = Settings(
         ),
         sh_every=4,
     ),
-    density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5),
+    density=Density(start=1, stop=6, every=2, reset_every=5),
 )
 OPTIMIZER = make_optimizer(Rates(), EXTENT, 11)
 
