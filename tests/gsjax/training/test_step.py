@@ -173,8 +173,7 @@ def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
     monkeypatch.setattr(gradient_driven, "GRADIENT", float(np.sort(mean_gradient)[-30]))
     density = Density(every=7)  # of no other test, so that a program with these thresholds is compiled
     before = jax.tree.map(np.array, state)
-    how = {"density": density, "extent": 1.0, "prune_large": False}
-    densified = jax.jit(partial(gradient_driven.densify, **how))
+    densified = jax.jit(partial(gradient_driven.densify, density=density, extent=1.0, prune_large=False))
     expected, moved = densified(state.gaussians, state.statistics, jax.random.fold_in(KEY, state.step))
     source, fresh = np.asarray(moved.source), np.asarray(moved.fresh)
     how = {"optimizer": OPTIMIZER, "density": density, "budget": CAPACITY, "rule": DENSIFICATION_RULES["adc"]}
