@@ -44,6 +44,7 @@ HOMES = {
     "from_points": "training.initialize",
     "init": "training.trainer",
     "train_step": "training.trainer",
+    "zero_moments": "training.optimizers",
     # What the commands do.
     "extract_mesh": "meshing.extract",
     "mesh": "pipeline.mesh",

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import jax
 import numpy as np
@@ -13,6 +13,7 @@ from jax.sharding import Mesh
 
 from gsjax.effects import sky
 from gsjax.effects.simulation import NO_EFFECTS, Effects
+from gsjax.errors import InputError
 from gsjax.scene import Frame, Keep, batches, in_memory
 from gsjax.scene.batches import Batch, Batches
 from gsjax.settings import Settings
@@ -22,11 +23,12 @@ from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
-from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
+from gsjax.training.state import TrainState, cull, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.stepping import Feed, advance, faulty_terms, one_view, photo_of, several_views, view_order
-from gsjax.training.terms import Term, Weighed
+from gsjax.training.terms import NEEDS, Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
+from gsjax.training.trainer import Densification, densify_within
 
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 """Training so far -> an int8 normal map a frame, see `gsjax.scene.batches.Batch`."""
@@ -148,15 +150,20 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
     scale = phase.scale * phase.surface_scale
     surface = _photos(work, phase, scale)
     if "normals" in phase.needs:
-        assert work.prior is not None, "the plan has such a term only where there are normals"
-        surface = batches.with_normals(surface, work.prior(state), scale, work.keep)
+        prior = work.prior or _refuse(phase, "normals", "prior")
+        surface = batches.with_normals(surface, prior(state), scale, work.keep)
     if "measured" in phase.needs:
-        assert work.depths is not None, "the plan has such a term only where there is measured depth"
-        surface = batches.with_depths(surface, work.depths(scale), work.keep)
+        depths = work.depths or _refuse(phase, "measured", "depths")
+        surface = batches.with_depths(surface, depths(scale), work.keep)
     if "neighbor" in phase.needs:
         surface = with_neighbors(surface, work.extent, work.shares() if "normals" in phase.needs else 1.0)
     is_one = phase.surface_scale == 1 or phase.surface_every == 1
     return Views(surface if is_one else _photos(work, phase, phase.scale), surface)
+
+
+def _refuse(phase: PlannedPhase, need: str, argument: str) -> NoReturn:
+    names = ", ".join(each.name for each in phase.terms if need in each.term.needs)
+    raise InputError(f"schedule.phases.{phase.name}.weights: {names} needs {NEEDS[need]}; hand in {argument}=")
 
 
 def _photos(work: Work, phase: PlannedPhase, scale: int) -> Batches:
@@ -312,18 +319,8 @@ def _ends_densification(plan: Plan, phase: PlannedPhase, step: int) -> bool:
 def _densify_when_due(work: Work, rule: DensificationRule, step: int, state: TrainState, key: Array) -> TrainState:
     plan, density = work.plan, work.plan.density
     if gradient_driven.densifies(density, step):
-        large = np.bool_(gradient_driven.prunes_large(density, step))
-        state = buffers.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians, rule=rule)
-        state = densify(
-            state,
-            key,
-            np.float32(work.extent),
-            large,
-            optimizer=work.optimizer,
-            density=density,
-            budget=plan.max_gaussians,
-            rule=rule,
-        )
+        how = Densification(rule, density, work.extent)
+        state = densify_within(state, work.optimizer, how, key, step=step, budget=plan.max_gaussians)
     if gradient_driven.resets_opacities(density, step, plan.background):
-        state = reset_opacities(state, optimizer=work.optimizer, limit=gradient_driven.RESET_OPACITY)
+        state = reset_opacities(state, limit=gradient_driven.RESET_OPACITY)
     return state
