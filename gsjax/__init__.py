@@ -25,6 +25,7 @@ HOMES = {
     "read_mesh": "meshing.export",
     "read_views": "io.views",
     "save_gaussians": "io.gaussian_files",
+    "write_built_in_scene": "io.analytic_scene",
     "write_mesh": "meshing.export",
     # Rendering, and the paper's regulariser.
     "align_normals": "training.terms",

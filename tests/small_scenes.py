@@ -21,7 +21,7 @@ from gsjax.scene import Frame, Pixels, frame_of
 from gsjax.scene.cameras import Camera, look_at
 from gsjax.training.initialize import DEAD_LOGIT
 
-write_scene = analytic_scene.write  # Tests may put another function in its place.
+write_scene = analytic_scene.write_built_in_scene  # Tests may put another function in its place.
 
 
 def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:

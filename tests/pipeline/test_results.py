@@ -134,7 +134,7 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_
 
     small = SimpleNamespace(train=train, mesh=mesh, evaluate=lambda folder: run_scores)
     monkeypatch.setattr(demo, "pipeline", small)
-    monkeypatch.setattr(demo.analytic_scene, "write", lambda folder, **_: scene)
+    monkeypatch.setattr(demo.analytic_scene, "write_built_in_scene", lambda folder, **_: scene)
     report = demo.run(tmp_path / "demo")
     assert [settings.schedule.vanilla for settings in settings_by_run.values()] == [True, False]
     assert {settings.supervision.normals for settings in settings_by_run.values()} == {str(scene / "normals")}
