@@ -1,10 +1,9 @@
 """The host loop over the phases: what each compares with and learns from, and when Gaussians multiply."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from types import MappingProxyType
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -12,21 +11,19 @@ from jax import Array
 from jax.sharding import Mesh
 
 from gsjax.effects import sky
-from gsjax.effects.simulation import NO_EFFECTS, Effects
-from gsjax.errors import InputError
+from gsjax.effects.simulation import Effects
 from gsjax.scene import Frame, Keep, batches, in_memory
 from gsjax.scene.batches import Batch, Batches
-from gsjax.settings import Settings
 from gsjax.training import buffers, data_parallel
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.optimizers import Optimizer
-from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
+from gsjax.training.plan import Plan, PlannedPhase
 from gsjax.training.state import TrainState, cull, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.stepping import Feed, advance, faulty_terms, one_view, photo_of, several_views, view_order
-from gsjax.training.terms import NEEDS, Term, Weighed
+from gsjax.training.terms import Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 from gsjax.training.trainer import Densification, densify_within
 
@@ -83,31 +80,6 @@ class Work:
     make_step: Callable[..., TrainStep] = field(default_factory=lambda: kept_step)  # as `make_train_step`
 
 
-def fit(
-    settings: Settings,
-    frames: Sequence[Frame],
-    extent: float,
-    state: TrainState,
-    optimizer: Optimizer,
-    *,
-    terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
-    densification: DensificationRule | None = None,
-    effects: Effects = NO_EFFECTS,
-    capacity: int | None = None,
-    **shared: Any,
-) -> TrainState:
-    """Plan a run with its own terms and rule, see `gsjax.training.plan.plan`, and `follow` the plan.
-
-    `shared` are further fields of `Work`.
-
-    Raises:
-        InputError: A weight has no term, a term cannot be computed, or as of `follow`.
-    """
-    planned = plan(settings, terms, tuple(effects), densification)
-    check_terms(planned, frames)
-    return follow(Work(planned, frames, extent, optimizer, effects=effects, **shared), state, capacity)
-
-
 def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainState:
     """The final state after all phases of a plan from `state.step` on, of step 0 or a checkpoint.
 
@@ -150,20 +122,15 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
     scale = phase.scale * phase.surface_scale
     surface = _photos(work, phase, scale)
     if "normals" in phase.needs:
-        prior = work.prior or _refuse(phase, "normals", "prior")
-        surface = batches.with_normals(surface, prior(state), scale, work.keep)
+        assert work.prior is not None, "the plan has such a term only where there are normals"
+        surface = batches.with_normals(surface, work.prior(state), scale, work.keep)
     if "measured" in phase.needs:
-        depths = work.depths or _refuse(phase, "measured", "depths")
-        surface = batches.with_depths(surface, depths(scale), work.keep)
+        assert work.depths is not None, "the plan has such a term only where there is measured depth"
+        surface = batches.with_depths(surface, work.depths(scale), work.keep)
     if "neighbor" in phase.needs:
         surface = with_neighbors(surface, work.extent, work.shares() if "normals" in phase.needs else 1.0)
     is_one = phase.surface_scale == 1 or phase.surface_every == 1
     return Views(surface if is_one else _photos(work, phase, phase.scale), surface)
-
-
-def _refuse(phase: PlannedPhase, need: str, argument: str) -> NoReturn:
-    names = ", ".join(each.name for each in phase.terms if need in each.term.needs)
-    raise InputError(f"schedule.phases.{phase.name}.weights: {names} needs {NEEDS[need]}; hand in {argument}=")
 
 
 def _photos(work: Work, phase: PlannedPhase, scale: int) -> Batches:

@@ -124,13 +124,9 @@ def map_moments(state: Any, optimizer: Optimizer, f) -> Any:
 
 
 def zero_moments(opt_state: Any, *fields: str) -> Any:
-    """The state of an optimizer over `Gaussians`, of `adam` or of optax, with zeros for the moments of some fields.
+    """Zero the moments of fields of `Gaussians`, such as "logit_opacities", in the state of `adam` or any of optax.
 
-    For a field that was changed by hand: its moments are of the values before. May be called inside `jit`.
-
-    Args:
-        opt_state: `TrainState.opt_state`.
-        fields: Names of fields of `Gaussians`, such as "logit_opacities".
+    A field that was set by hand keeps the moments of its former values otherwise. May be called inside `jit`.
 
     Raises:
         ValueError: `Gaussians` has no such field.
@@ -139,12 +135,12 @@ def zero_moments(opt_state: Any, *fields: str) -> Any:
         if name not in (arrays := Gaussians.__annotations__.keys() - {"pixel_filter"}):
             raise ValueError(f"field {name!r} is none of {', '.join(sorted(arrays))}")
 
-    def without_moments(node: Any) -> Any:
-        if not isinstance(node, Gaussians):
-            return node
-        return replace(node, **{name: jax.tree.map(jnp.zeros_like, getattr(node, name)) for name in fields})
+    def without(moments: Any) -> Any:
+        if not isinstance(moments, Gaussians):
+            return moments
+        return replace(moments, **{name: jax.tree.map(jnp.zeros_like, getattr(moments, name)) for name in fields})
 
-    return jax.tree.map(without_moments, opt_state, is_leaf=lambda node: isinstance(node, Gaussians))
+    return jax.tree.map(without, opt_state, is_leaf=lambda node: isinstance(node, Gaussians))
 
 
 def rearrange_moments(state: Any, optimizer: Optimizer, source: Array, fresh: Array) -> Any:

@@ -38,7 +38,7 @@ class Program(Generic[S]):
     def __init__(self, compiled: Callable[[int], TakeStep[S]], capacity: int, room: float):
         """`compiled` is pair capacity -> step, which leaves the state as it was where it overflows.
 
-        `capacity` is that of the first step. `room` is how many times longer than needed the next buffer is made.
+        A buffer that was too short becomes `room` times as long as needed.
         """
         self.compiled, self.capacity, self.room = compiled, capacity, room
         self.step = compiled(capacity)
