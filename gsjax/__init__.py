@@ -25,6 +25,7 @@ HOMES = {
     "read_mesh": "meshing.export",
     "read_views": "io.views",
     "save_gaussians": "io.gaussian_files",
+    "write_built_in_scene": "io.analytic_scene",
     "write_mesh": "meshing.export",
     # Rendering, and the paper's regulariser.
     "align_normals": "training.terms",
@@ -44,6 +45,7 @@ HOMES = {
     "from_points": "training.initialize",
     "init": "training.trainer",
     "train_step": "training.trainer",
+    "zero_moments": "training.optimizers",
     # What the commands do.
     "extract_mesh": "meshing.extract",
     "mesh": "pipeline.mesh",

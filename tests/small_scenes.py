@@ -20,8 +20,10 @@ from gsjax.rendering import gallery
 from gsjax.scene import Frame, Pixels, frame_of
 from gsjax.scene.cameras import Camera, look_at
 from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.training.loop import Work, follow
+from gsjax.training.plan import check_terms, plan
 
-write_scene = analytic_scene.write  # Tests may put another function in its place.
+write_scene = analytic_scene.write_built_in_scene  # Tests may put another function in its place.
 
 
 def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
@@ -34,6 +36,13 @@ def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
         if not original.exists():
             write_scene(original, num_views=num_views, size=size, progress=partial(tqdm, disable=True))
     return shutil.copytree(original, folder, dirs_exist_ok=True)
+
+
+def fit(settings, frames, extent, state, optimizer, terms=None, capacity=None, **shared):
+    """The state after the phases of the settings; `shared` are fields of `Work`."""
+    planned = plan(settings, terms or {})
+    check_terms(planned, frames)
+    return follow(Work(planned, frames, extent, optimizer, **shared), state, capacity)
 
 
 def camera_at(eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, 1.0), *, size=(32, 24), focal=30.0) -> Camera:

@@ -115,7 +115,7 @@ def pages_with_code():
 def test_code_runs_as_it_stands(page, readers_folder, monkeypatch):
     """The blocks of a page share their names, and find the files that the page's commands would have written."""
     monkeypatch.chdir(readers_folder)
-    monkeypatch.setattr(analytic_scene, "write", built_in)  # the same files, made once a session
+    monkeypatch.setattr(analytic_scene, "write_built_in_scene", built_in)  # the same files, made once a session
     text, names = page.read_text(), {"__name__": "__main__"}
     for block in PYTHON.finditer(text):
         above = text.count("\n", 0, block.start(1))  # Tracebacks then name the page's own line.

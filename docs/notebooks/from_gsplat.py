@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Coming from gsplat
 #
-# The front door has gsplat's argument names and order, so a script changes its import and drops torch. Four things are
-# different in JAX, and each gets a cell: gradients, compilation, batches and `absgrad`.
+# `rasterizer.rasterization` has gsplat's argument names and order. Four things are different in JAX, and each has a
+# cell: gradients, compilation, batches and `absgrad`.
 
 # %%
 import jax
@@ -14,15 +14,15 @@ import rasterizer
 from rasterizer import rasterization
 
 # %% [markdown]
-# ## A script, changed
+# ## The call
 #
-# In torch it was
+# The call in torch was
 #
 #     from gsplat import rasterization
 #     colors, alphas, info = rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height)
 #
-# and the call is the same. Scales and opacities are linear, quaternions are (w, x, y, z) of any length, cameras are
-# world to camera with x right, y down, z forward.
+# The call in JAX is the same. Scales and opacities are linear. Quaternions are (w, x, y, z) of any length. Camera
+# matrices are world to camera with x right, y down, z forward.
 
 # %%
 COUNT, WIDTH, HEIGHT = 400, 96, 72
@@ -52,7 +52,7 @@ pyplot.show()
 # %% [markdown]
 # ## The stages
 #
-# gsplat's stages are here under their names. Put together they give the same picture.
+# gsplat's stages have their names. Composed they give the same image.
 
 # %%
 radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
@@ -78,9 +78,9 @@ np.testing.assert_allclose(staged, colors, atol=2e-3)
 # %% [markdown]
 # ## Gradients
 #
-# There is no `.backward()`: `jax.grad` makes a function into the function of its gradients, to any array that goes in,
-# the cameras too. Here the first camera is moved, and the gradient checked by finite differences. They agree to some
-# percent: a splat ends where its alpha passes 1/255, and a difference sees that edge move, a gradient does not.
+# There is no `.backward()`: `jax.grad` returns the function that computes the gradient to any input, cameras included.
+# This cell compares the gradient to the position of the first camera with finite differences. They differ by some
+# percent: a splat ends where its alpha falls below 1/255, and only the differences include the motion of this edge.
 
 # %%
 weights = array(rng.normal(size=(HEIGHT, WIDTH, 3)))
@@ -100,8 +100,8 @@ np.testing.assert_allclose(gradient, differences, rtol=0.1, atol=1.0)
 # %% [markdown]
 # ## Compilation
 #
-# Inside `jax.jit` all sizes are fixed before a number is known, the list of (tile, Gaussian) pairs too. So it gets a
-# `capacity`, and `info` says whether it was enough. A picture that overflowed must not be used.
+# Inside `jax.jit` all sizes are static, also that of the list of (tile, Gaussian) pairs. `capacity` is its size, and
+# `info["overflowed"]` is true where it was too small. An image that overflowed must not be used.
 
 
 # %%
@@ -121,8 +121,8 @@ np.testing.assert_allclose(compiled, colors, atol=1e-5)
 # %% [markdown]
 # ## Batches
 #
-# Leading dimensions are scenes, as in gsplat. `jax.vmap` maps over anything else: here three scenes that differ in one
-# number, how far the Gaussians are moved.
+# Leading dimensions are scenes, as in gsplat. `jax.vmap` maps over anything else. This cell renders three scenes that
+# differ in the translation of the Gaussians.
 
 # %%
 shifts = array([[0.0, 0, 0], [0.3, 0, 0], [0.6, 0, 0]])
@@ -139,14 +139,14 @@ np.testing.assert_allclose(many[0], colors, atol=1e-5)
 # %% [markdown]
 # ## absgrad
 #
-# AbsGS splits a Gaussian by the sum over pixels of *absolute* gradients to its 2D mean: the plain sum is small where
-# pixels pull in opposite directions. gsplat has a flag for it and writes the sum to `means2d.absgrad`. A function of
-# JAX writes nowhere, so `absgrad` takes zeros. The image does not depend on them, and their gradient is that sum.
+# AbsGS splits a Gaussian by the sum over pixels of *absolute* gradients to its 2D mean, because signed gradients of
+# pixels cancel. gsplat writes this sum to `means2d.absgrad`. A function of JAX has no side effects, so `absgrad` takes
+# zeros. The image does not depend on them, and their gradient is the sum.
 
 
 # %%
 def loss_of_image(moved, zeros):
-    """A loss of both pictures, whose 2D means are moved."""
+    """A loss of both images, with moved 2D means."""
     both = [jnp.tile(x, (2,) + (1,) * x.ndim) for x in (rgb, opacities)]
     image, _ = rasterizer.rasterize_to_pixels(
         means2d + moved, conics, *both, WIDTH, HEIGHT, tile_size, offsets, flatten_ids, absgrad=zeros
@@ -155,15 +155,15 @@ def loss_of_image(moved, zeros):
 
 
 zeros = jnp.zeros_like(means2d)
-plain, absolute = jax.grad(loss_of_image, (0, 1))(zeros, zeros)
-assert jnp.all(absolute >= jnp.abs(plain) - 1e-2), "what cancels is missing from the plain sum"
+signed, absolute = jax.grad(loss_of_image, (0, 1))(zeros, zeros)
+assert jnp.all(absolute >= jnp.abs(signed) - 1e-2)
 
-plain, absolute = (jnp.linalg.norm(x[0], axis=-1) for x in (plain, absolute))
-pyplot.plot(plain, absolute, ".", markersize=3)
+signed, absolute = (jnp.linalg.norm(x[0], axis=-1) for x in (signed, absolute))
+pyplot.plot(signed, absolute, ".", markersize=3)
 pyplot.axline((0, 0), slope=1, color="black", linestyle=":")
 pyplot.xlabel("length of the gradient to the 2D mean")
 pyplot.ylabel("with absolute values")
 pyplot.show()
 
 # %% [markdown]
-# What else differs, argument by argument, and how close the numbers are: [Coming from gsplat](../gsplat.md).
+# [Coming from gsplat](../gsplat.md) lists the other differences, argument by argument, with their errors.

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Splat one Gaussian, and differentiate it
 #
-# A Gaussian in space becomes a soft ellipse in the picture. For a single one, the picture and its derivatives have a
-# closed form, so every step can be checked.
+# A 3D Gaussian is rendered as a soft ellipse. The image of a single Gaussian and its derivatives have a closed form, so
+# this notebook checks every step.
 
 # %%
 import jax
@@ -15,8 +15,8 @@ import rasterizer
 # %% [markdown]
 # ## The camera
 #
-# It stands at the origin and looks along z; x is right and y down. A focal length of 60 pixels, the axis through the
-# middle of a picture of 65x49 pixels: the middle pixel's centre lies on it.
+# The camera is at the origin and looks along z; x is right and y is down. The image has 65x49 pixels and a focal length
+# of 60 pixels. The optical axis goes through the centre of the middle pixel.
 
 # %%
 WIDTH, HEIGHT, FOCAL = 65, 49, 60.0
@@ -26,8 +26,8 @@ Ks = jnp.array([[[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]]])
 # %% [markdown]
 # ## The Gaussian
 #
-# Four units away, on the axis, twice as wide as high. `scales` are standard deviations along its own axes, which
-# `quats` (w, x, y, z) turn.
+# It is on the axis, four units away, and twice as wide as high. `scales` are standard deviations along the axes of the
+# Gaussian. `quats` (w, x, y, z) rotate these axes.
 
 # %%
 DEPTH, OPACITY = 4.0, 0.8
@@ -43,16 +43,16 @@ gaussian = {
 
 
 # %% [markdown]
-# ## Its picture
+# ## Its image
 
 
 # %%
-def picture(gaussian):
+def render(gaussian):
     colors, _, _ = rasterizer.rasterization(**gaussian, viewmats=viewmats, Ks=Ks, width=WIDTH, height=HEIGHT)
     return colors[0]
 
 
-target = picture(gaussian)
+target = render(gaussian)
 pyplot.imshow(target)
 pyplot.title("one Gaussian")
 pyplot.show()
@@ -60,8 +60,8 @@ pyplot.show()
 # %% [markdown]
 # ## The same by hand
 #
-# Projection scales lengths by focal length over depth. The covariance in the picture gets 0.3 square pixels more, so
-# that no splat falls between pixels. What covers a pixel by less than 1/255 is left out.
+# Projection scales lengths by focal length over depth. The rasterizer adds 0.3 square pixels to the variances, so that
+# no splat falls between pixels. It skips a splat at pixels where its alpha is below 1/255.
 
 # %%
 x, y = np.meshgrid(np.arange(WIDTH) - WIDTH // 2, np.arange(HEIGHT) - HEIGHT // 2)
@@ -73,9 +73,9 @@ np.testing.assert_allclose(target, alpha[..., None] * np.asarray(orange), atol=1
 
 
 # %% [markdown]
-# ## The derivative of the picture
+# ## The derivative of the image
 #
-# Move the Gaussian by dx: every pixel changes. The dense backend differentiates in any mode, so `jax.jvp` gives the
+# Moving the Gaussian by dx changes every pixel. The backend "reference" has forward mode, so `jax.jvp` computes the
 # change of all pixels at once.
 
 
@@ -93,9 +93,9 @@ pyplot.colorbar(label="change of red per unit of x")
 pyplot.show()
 
 # %% [markdown]
-# On its right side the picture gets brighter, on its left darker. By hand: the centre moves by `FOCAL / DEPTH` pixels
-# per unit, and the bell's slope is its value times the distance over the variance. (That a splat off the axis is seen a
-# little askew changes its shape, but not to first order.)
+# The right side gets brighter, the left side darker. By hand: the centre moves by `FOCAL / DEPTH` pixels per unit, and
+# the slope of a Gaussian is its value times the distance over the variance. The shape of the splat does not change to
+# first order.
 
 # %%
 np.testing.assert_allclose(change, alpha * (x / variance_x) * FOCAL / DEPTH, atol=1e-5)
@@ -104,20 +104,20 @@ np.testing.assert_allclose(change, alpha * (x / variance_x) * FOCAL / DEPTH, ato
 # %% [markdown]
 # ## The gradient of a loss
 #
-# The fast backend has reverse mode, which is what `jax.grad` wants: one number, and its derivative to everything.
+# Every backend has reverse mode: `jax.grad` differentiates one number to all parameters.
 
 
 # %%
 def brightness(gaussian):
-    return jnp.sum(picture(gaussian))
+    return jnp.sum(render(gaussian))
 
 
 gradient = jax.grad(brightness)(gaussian)
 print({name: np.round(np.asarray(value), 2).tolist() for name, value in gradient.items()})
 
 # %% [markdown]
-# The picture is proportional to opacity and to colour. So opacity times its derivative is the brightness, and so is the
-# sum over the colour's channels.
+# The image is proportional to the opacity and to the colour. So the opacity times its derivative is the brightness. The
+# colour times its derivative, summed over the channels, is the brightness too.
 
 # %%
 total = float(brightness(gaussian))
@@ -128,8 +128,7 @@ np.testing.assert_allclose(float(jnp.sum(orange * gradient["colors"])), total, r
 # %% [markdown]
 # ## Descend
 #
-# A Gaussian in the wrong place and of the wrong shape goes to where the picture is: steps against the gradient, a
-# little different for lengths and for places.
+# Gradient descent moves a Gaussian of another position and shape to the target image.
 
 
 # %%
@@ -142,7 +141,7 @@ def step(means, log_scales):
             Ks=Ks,
             width=WIDTH,
             height=HEIGHT,
-            capacity=256,  # of the lists of splats a tile; inside jit it cannot be counted
+            capacity=256,  # maximum number of (tile, splat) pairs; a GPU needs it inside jit
         )
         return jnp.mean((colors[0] - target) ** 2), info["overflowed"]
 
@@ -151,16 +150,16 @@ def step(means, log_scales):
 
 
 means, log_scales = jnp.array([[-0.5, 0.4, DEPTH]]), jnp.log(jnp.full((1, 3), 0.4, jnp.float32))
-start, losses = picture({**gaussian, "means": means, "scales": jnp.exp(log_scales)}), []
+start, losses = render({**gaussian, "means": means, "scales": jnp.exp(log_scales)}), []
 for _ in range(150):
     means, log_scales, value, overflowed = step(means, log_scales)
     assert not overflowed
     losses.append(float(value))
 
 # %%
-end = picture({**gaussian, "means": means, "scales": jnp.exp(log_scales)})
+end = render({**gaussian, "means": means, "scales": jnp.exp(log_scales)})
 figure, panels = pyplot.subplots(1, 4, figsize=(13, 2.6))
-for panel, title, image in zip(panels, ("start", "end", "wanted"), (start, end, target), strict=False):
+for panel, title, image in zip(panels, ("start", "end", "target"), (start, end, target), strict=False):
     panel.imshow(image)
     panel.set_title(title)
 panels[3].semilogy(losses)

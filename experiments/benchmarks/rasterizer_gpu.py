@@ -159,16 +159,13 @@ def steps_of(run: Path) -> dict[str, dict[str, float]]:
     import jax.numpy as jnp
     from step_profile import steppers
 
-    from gsjax import config, gaussians, rendering
+    from gsjax import gaussians, rendering
     from gsjax.planning.sizes import training_extent
-    from gsjax.presets import PRESETS
+    from gsjax.presets import preset
     from gsjax.runs.result import open_result, scene_of_run
-    from gsjax.settings import Settings
 
     result, scene = open_result(run), scene_of_run(run)
-    steps = steppers(
-        config.parse(Settings, PRESETS["fast"]), result.gaussians, scene.train_frames, training_extent(scene)
-    )
+    steps = steppers(preset("fast"), result.gaussians, scene.train_frames, training_extent(scene))
     rows = {f"a step, {phase}": {"step_ms": milliseconds(once)[1]} for phase, once in steps.items()}
     cloud, camera = jax.tree.map(jnp.asarray, (result.gaussians, result.cameras[result.held_out.index(False)]))
     colors = rendering.colors(rendering.drawable(cloud), camera)

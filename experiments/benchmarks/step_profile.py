@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +46,13 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     import numpy as np
 
     import rasterizer
-    from gsjax import config, rendering
+    from gsjax import rendering
     from gsjax.metrics.images import ssim
     from gsjax.planning.sizes import training_extent
-    from gsjax.presets import PRESETS
+    from gsjax.presets import preset
     from gsjax.runs.result import open_result, scene_of_run
     from gsjax.scene import batches
-    from gsjax.settings import Rates, Settings
+    from gsjax.settings import Rates
     from gsjax.training import optimizers
     from gsjax.training.capacity import chosen_capacity
     from gsjax.training.stepping import one_view
@@ -94,11 +93,11 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
         "blending, with gradients": (jax.grad(blended), blendable),
         "L1 and D-SSIM, with gradients": (jax.grad(loss), (0.9 * batch.image,)),
         "Adam, on copies of its arguments": (
-            partial(optimizers.apply_gradients, optimizer),
+            lambda parameters, state, *how: optimizers.apply_gradients(parameters, state, optimizer, *how),
             (gaussians, optimizer.init(gaussians), gaussians, jnp.bool_(False)),
         ),
     }
-    whole = steppers(config.parse(Settings, PRESETS["fast"]), finished, scene.train_frames, training_extent(scene))
+    whole = steppers(preset("fast"), finished, scene.train_frames, training_extent(scene))
 
     def compiled(function, arguments):
         program = jax.jit(function)

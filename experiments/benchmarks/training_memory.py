@@ -35,10 +35,9 @@ import json, re, sys
 from pathlib import Path
 from gsjax.cli.environment import prepare
 prepare()
-from gsjax import config, pipeline
+from gsjax import pipeline
 from gsjax.io.machine import peak_memory
 from gsjax.planning import memory
-from gsjax.settings import Settings
 
 def held():
     return 1024 * int(re.search(r"VmRSS:\\s*(\\d+)", Path("/proc/self/status").read_text())[1])
@@ -50,7 +49,7 @@ def plenty():
 
 memory.free_memory = plenty
 scene, out, settings = sys.argv[1:]
-done = pipeline.train(scene, out, config.parse(Settings, json.loads(settings)))
+done = pipeline.train(scene, out, json.loads(settings))
 print(json.dumps({"gaussians": done["gaussians"], "before": before, "peak": peak_memory()}))
 """
 
@@ -77,7 +76,7 @@ def _scene(folder: Path, size: tuple[int, int]) -> Path:
     from gsjax.io.images import cv2, read_image, write_image
 
     if not folder.exists():
-        analytic_scene.write(folder, num_views=4, size=SMALL)
+        analytic_scene.write_built_in_scene(folder, num_views=4, size=SMALL)
         for file in (folder / "images").iterdir():
             write_image(file, cv2.resize(read_image(file)[0], size, interpolation=cv2.INTER_CUBIC))
     return folder

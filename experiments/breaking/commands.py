@@ -113,7 +113,7 @@ import numpy as np
 from onnx import TensorProto, helper, save
 from gsjax.io import analytic_scene
 
-analytic_scene.write("scene", num_views=8, size=(64, 48))
+analytic_scene.write_built_in_scene("scene", num_views=8, size=(64, 48))
 Path("scene/gt_mesh.ply").rename("true.ply")  # So few steps lead to no surface that could be scored, or refined.
 for file in Path("scene").glob("gt_*"):
     file.unlink()

@@ -43,7 +43,7 @@ def _soak(folder: Path, name: str, preset: str) -> list[str]:
     from gsjax.io import analytic_scene
 
     if not (folder / "scene").exists():
-        analytic_scene.write(folder / "scene", num_views=VIEWS, size=(SIDE, SIDE))
+        analytic_scene.write_built_in_scene(folder / "scene", num_views=VIEWS, size=(SIDE, SIDE))
     shutil.rmtree(changed := folder / "changed", ignore_errors=True)
     shutil.copytree(folder / "scene", changed)
     full = presets.preset(preset, config.merge(SETTINGS, _change(changed, **SCENES[name])))

@@ -30,7 +30,7 @@ WORLDS = {
 SETTINGS = "schedule.phases.0.steps=600", "density.stop=420", "model.max_gaussians=4000", "model.sh_degree=1"
 SCENE = """
 from gsjax.io import analytic_scene
-analytic_scene.write("here", num_views=24, size=(96, 72))
+analytic_scene.write_built_in_scene("here", num_views=24, size=(96, 72))
 """
 MOVED = """
 import sys

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.presets import PRESETS, REFINED_BY
+from gsjax.presets import REFINED_BY, preset
 from gsjax.settings import Settings
 
 INDOOR, OUTDOOR = "Mip-NeRF 360, indoor", "Mip-NeRF 360, outdoor"
@@ -109,8 +109,7 @@ def settings_of(scene: str, schedule: str, seed: int, assignments: Sequence[str]
     own: dict[str, Any] = {"photos": {"images": place.images}, "seed": seed}
     if plan.regulariser == R:
         own["schedule"] = {"phases": {"surface": {"weights": {"sdf_normal": place.lambda_r}}}}
-    merged = config.merge(PRESETS[plan.preset], SHARED, plan.differences, own)
-    whole = config.to_dict(config.parse(Settings, merged, where=scene))
+    whole = config.to_dict(preset(plan.preset, config.merge(SHARED, plan.differences, own)))
     return config.parse(Settings, config.override(whole, assignments), where="--set")
 
 

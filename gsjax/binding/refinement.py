@@ -273,7 +273,7 @@ def make_refine_step(
     def update(state: RefineState, gradients: MixedGaussians, outcome: Outcome, skipped: Array) -> RefineState:
         del outcome
         parameters = with_faces(state.gaussians, None)
-        parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients, skipped)
+        parameters, opt_state = optimizers.apply_gradients(parameters, state.opt_state, optimizer, gradients, skipped)
         step = jnp.where(skipped, state.step, state.step + 1)
         return RefineState(with_faces(parameters, state.gaussians.bound.faces), opt_state, step)
 

@@ -46,7 +46,7 @@ class _Samples(NamedTuple):
     visible: np.ndarray  # [V, P] bool by view
 
 
-def write(
+def write_built_in_scene(
     out: str | Path,
     *,
     num_views: int = 40,
@@ -54,7 +54,7 @@ def write(
     seed: int = 0,
     progress: Callable[..., tqdm] = tqdm,
 ) -> Path:
-    """Renders the scene into a folder, which appears when everything is done, and returns the folder.
+    """Render the built-in scene into a folder, which appears when everything is done, and return the folder.
 
     Args:
         out: Folder to make. Must not exist, or be empty: else InputError.

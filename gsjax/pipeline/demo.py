@@ -17,7 +17,6 @@ from gsjax.report.figures import draw_panels
 from gsjax.report.pictures import difference_picture, mesh_picture, normal_picture, surface_picture
 from gsjax.runs.result import Result, open_result
 from gsjax.scene.colors import to_bytes
-from gsjax.settings import Settings
 
 NUM_VIEWS, SIZE = 48, (192, 192)
 SURFACE_POINTS = 60_000  # A quarter of the usual: a third less time, and meshes 4 % further from the truth.
@@ -47,7 +46,7 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     require_empty(out)
     make_folder(out)
     rasterizer.prepare()
-    scene = analytic_scene.write(out / "scene", num_views=NUM_VIEWS, size=SIZE)
+    scene = analytic_scene.write_built_in_scene(out / "scene", num_views=NUM_VIEWS, size=SIZE)
     vanilla, surface = out / "vanilla", out / "surface"
     _train(scene, vanilla)
     _train(scene, surface, warm_start=vanilla)
@@ -72,7 +71,7 @@ def _train(scene: Path, run: Path, *, warm_start: Path | None = None) -> None:
     settings = config.merge(
         DEMO, {"schedule": {"vanilla": run.name == "vanilla"}, "supervision": {"normals": str(scene / "normals")}}
     )
-    pipeline.train(scene, run, config.parse(Settings, settings), warm_start=warm_start)
+    pipeline.train(scene, run, settings, warm_start=warm_start)
 
 
 def _mesh_and_score(run: Path) -> dict[str, Any]:

@@ -5,10 +5,12 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple, Unpack
 
 from gsjax import config
 from gsjax.binding.refinement import Refinement
+from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import make_folder
@@ -18,11 +20,14 @@ from gsjax.io.scenes import is_data_set
 from gsjax.io.sfm import FILES, Reconstruction
 from gsjax.io.temporary_files import is_temporary, sweep
 from gsjax.meshing.export import read_mesh, read_textured
+from gsjax.meshing.mesh_method import Method, method_name
+from gsjax.meshing.methods import AUTO
 from gsjax.meshing.pictures import texture_colors
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
+from gsjax.planning.warm_start import pieces_record
 from gsjax.rendering import gallery
 from gsjax.report.figures import draw_panels
 from gsjax.report.page import report as write_report
@@ -31,6 +36,7 @@ from gsjax.runs import is_finished
 from gsjax.runs.result import open_result
 from gsjax.scene.colors import to_bytes
 from gsjax.settings import Settings
+from gsjax.training.densification.rules import DensificationRule
 
 
 class Stage(NamedTuple):
@@ -47,6 +53,10 @@ def scan(
     settings: Settings | Mapping[str, Any],
     refinement: Refinement | Mapping[str, Any],
     *,
+    terms: Mapping[str, Any] = MappingProxyType({}),
+    densification: DensificationRule | None = None,
+    effects: Effects = NO_EFFECTS,
+    method: str | Method = AUTO,
     progress: Callable[[str], None] = print,
     **reconstruction: Unpack[Reconstruction],
 ) -> dict[str, Any]:
@@ -58,6 +68,10 @@ def scan(
             `mesh.glb` (texture), `overview.png`, `report.json`, `report.html`.
         settings: Of the training, as `gsjax.pipeline.train` takes them.
         refinement: Of the mesh, as `gsjax.pipeline.refine` takes it.
+        terms: Handed to `gsjax.pipeline.train`, as `densification` and `effects` are. To resume they are needed again.
+        densification: The same.
+        effects: The same.
+        method: Handed to `gsjax.pipeline.mesh`.
         progress: Receives the name of every stage as it begins.
         **reconstruction: Options of `gsjax.io.sfm.reconstruct`, for photos or a video.
 
@@ -78,12 +92,15 @@ def scan(
         "settings": config.to_dict(settings),
         "refinement": config.to_dict(refinement),
         **_recorded(reconstruction),
+        **pieces_record(terms, densification, effects),
+        **({} if method == AUTO else {"method": method_name(method) if callable(method) else method}),
     }
+    pieces = {"terms": terms, "densification": densification, "effects": effects}
     _require_scan(out)  # Before anything of ours is in it.
     with lock_folder(make_folder(out)):
         sweep(out)
         report = _report_so_far(out, request)
-        for stage in _stages(source, out, settings, refinement, reconstruction):
+        for stage in _stages(source, out, settings, refinement, reconstruction, pieces, method):
             if not (stage.is_done() and stage.name in report["stages"]):
                 progress(f"scan: {stage.name}")
                 _do(stage, out, report)
@@ -162,15 +179,21 @@ def _forget_if_empty(out: Path) -> None:
 
 
 def _stages(
-    source: Path, out: Path, settings: Settings, refinement: Refinement, reconstruction: Reconstruction
+    source: Path,
+    out: Path,
+    settings: Settings,
+    refinement: Refinement,
+    reconstruction: Reconstruction,
+    pieces: dict[str, Any],  # that `train` is handed
+    method: str | Method,  # of the mesh
 ) -> list[Stage]:
     scene = source if is_data_set(source) else out / "scene"
     run, refined, coarse, textured = out / "run", out / "refined", out / "run/mesh.ply", out / "mesh.glb"
     sfm = [] if scene == source else [Stage("sfm", scene.exists, lambda: _reconstruct(source, scene, reconstruction))]
     return [
         *sfm,
-        Stage("train", lambda: is_finished(run), lambda: train(scene, run, settings, resume=run.exists())),
-        Stage("mesh", coarse.exists, lambda: mesh(run, coarse)),
+        Stage("train", lambda: is_finished(run), lambda: train(scene, run, settings, resume=run.exists(), **pieces)),
+        Stage("mesh", coarse.exists, lambda: mesh(run, coarse, method=method)),
         Stage(
             "refine", lambda: is_finished(refined), lambda: refine(run, refined, refinement, resume=refined.exists())
         ),

@@ -30,20 +30,24 @@ def splat_depth_mode(reading: DepthReading | None) -> DepthMode:
 
 
 def depth_channels(splats: Splats, reading: DepthReading) -> Array:
-    """`[N, D]` values that `mean_depth` reads once they are composited."""
+    """`[N, D]` values that `summed_depth` reads once they are composited."""
     planes = rasterizer.depth_channels(splats.projection, splats.grid.width, splats.grid.height)[0]
     return jnp.concatenate([planes, jnp.ones_like(planes[:, :1])], -1) if reading in IN_FRONT else planes
 
 
-def mean_depth(composited: Array, alphas: Array, reading: DepthReading) -> Array:
-    """`[H, W]` depth of composited `depth_channels` `[H, W, D]`; 0 where less than `MIN_COVERAGE` is covered."""
+def summed_depth(composited: Array, alphas: Array, reading: DepthReading) -> tuple[Array, Array]:
+    """`[H, W]` depths times weights, summed, of composited `depth_channels` `[H, W, D]`; and the summed weights."""
     if reading in IN_FRONT:
         composited, alphas = composited[..., :-1], composited[..., -1]
-    depth = rasterizer.blended_depth(composited[None])[0, ..., 0]
-    return safe_divide(depth, alphas, alphas > MIN_COVERAGE)
+    return rasterizer.blended_depth(composited[None])[0, ..., 0], alphas
+
+
+def mean_depth(summed: Array, weights: Array) -> Array:
+    """`[H, W]` depth of both results of `summed_depth`; 0 where less than `MIN_COVERAGE` is covered."""
+    return safe_divide(summed, weights, weights > MIN_COVERAGE)
 
 
 def expected_depth(splats: Splats, reading: DepthReading = "plane") -> tuple[Array, Array]:
     """`[H, W]` depth and `[H, W]` alphas, as `gsjax.rendering` has them, without colours: a pass of its own."""
     image, alphas = features(splats, depth_channels(splats, reading), IN_FRONT.get(reading))
-    return mean_depth(image, alphas, reading), alphas
+    return mean_depth(*summed_depth(image, alphas, reading)), alphas

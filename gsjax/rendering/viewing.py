@@ -8,7 +8,8 @@ from jax import Array
 from jaxtyping import Bool, Float, Shaped
 
 import rasterizer
-from gsjax.rendering.depth import IN_FRONT, DepthReading, depth_channels, mean_depth, splat_depth_mode
+from gsjax.numerics import safe_normalize
+from gsjax.rendering.depth import IN_FRONT, DepthReading, depth_channels, mean_depth, splat_depth_mode, summed_depth
 from gsjax.rendering.splats import Drawable, Splats, facing_axes, features, in_one_dtype, splat
 from gsjax.scene import cameras
 from gsjax.scene.cameras import Camera
@@ -25,16 +26,24 @@ class Neighbor(NamedTuple):
 
 
 class View(NamedTuple):
-    """What one view shows. `depth` is None where it was not requested."""
+    """What one view shows. A field that was not requested is None."""
 
     colors: Float[Array, "H W 3"]  # over the background, not clamped
-    alphas: Float[Array, "H W"]  # coverage
-    depth: Float[Array, "H W"] | None  # camera z, of all splats or those in front; 0 where alpha < `MIN_COVERAGE`
-    splats: Splats
+    alphas: Float[Array, "H W"]  # coverage: the sum of the blending weights
+    depth: Float[Array, "H W"] | None  # mean camera z, of all splats or those in front; 0 where alpha < `MIN_COVERAGE`
+    splats: Splats  # projection, opacities and lists of the view
     extra: Float[Array, "H W D"] | None = None  # what `extra` composites to, on zero
     probes: Float[Array, "H W K"] | None = None  # zeros, whose gradient goes to the argument `probes`
     axes: Float[Array, "H W 3"] | None = None  # what the splats' smallest axes composite to (`facing_axes`), on zero
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
+    raw_depth: Float[Array, "H W"] | None = None  # `depth` before it is divided by the coverage: the weighted sum
+
+    @property
+    def normals(self) -> Float[Array, "H W 3"]:
+        """Unit normals in the camera's frame, of `axes`; zero where there are none. Needs `with_axes=True`."""
+        if self.axes is None:
+            raise ValueError("normals are of the composited axes: render(..., with_axes=True)")
+        return safe_normalize(self.axes)
 
 
 def render(
@@ -63,7 +72,7 @@ def render(
         capacity: See `splat`.
         background: Colour under the image, one for all pixels or one for each. None: black.
         active_degree: Highest SH degree used, one for all Gaussians or one for each; may be traced. None: all.
-        with_depth: Whether depth is composited too. Static; not in the program otherwise.
+        with_depth: Whether `depth` and `raw_depth` are composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
             of its mean; depth is the mean over the splats. "front": the mean of the planes of those in front, see
             `IN_FRONT`; "discs": the same of discs on a mesh. Static.
@@ -71,8 +80,8 @@ def render(
         extra: Further channels, composited on zero.
         probes: Channels of zeros, for their gradient: the sum over pixels of blending weights times the cotangent of
             `View.probes`.
-        with_axes: Whether the splats' smallest axes are composited too, for a scene that has `quats` and `scales`.
-            Static; not in the program otherwise.
+        with_axes: Whether `axes` and `normals` are composited too, for a scene that has `quats` and `scales`. Static;
+            not in the program otherwise.
         backend: As in `rasterizer.rasterization`; "reference" has forward mode and derivatives of any order. Static.
 
     Returns:
@@ -114,9 +123,12 @@ def view_splats(
     background = jnp.asarray(background, image.dtype)
     under = background if background.ndim == 3 else background[None, None]
     over = composited["colors"] + (1 - alphas)[..., None] * under
-    depth = None if reading is None else mean_depth(composited["depth"], alphas, reading)
+    raw_depth = depth = None
+    if reading is not None:
+        raw_depth, weights = summed_depth(composited["depth"], alphas, reading)
+        depth = mean_depth(raw_depth, weights)
     zeros = None if probes is None else composited["probes"]
-    return View(over, alphas, depth, splats, composited.get("extra"), zeros, composited.get("axes"))
+    return View(over, alphas, depth, splats, composited.get("extra"), zeros, composited.get("axes"), None, raw_depth)
 
 
 def colors(

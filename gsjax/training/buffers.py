@@ -61,7 +61,7 @@ def lengthen(state: TrainState, optimizer: Optimizer, rows: int) -> TrainState:
             quats=gaussians.quats.at[-extra:, 0].set(1.0),
             logit_opacities=gaussians.logit_opacities.at[-extra:].set(DEAD_LOGIT),
         ),
-        opt_state=optimizers.map_moments(optimizer, zeros_after, state.opt_state),
+        opt_state=optimizers.map_moments(state.opt_state, optimizer, zeros_after),
         statistics=jax.tree.map(zeros_after, state.statistics),
     )
 
@@ -83,7 +83,7 @@ def shorten(state: TrainState, optimizer: Optimizer, most: int) -> TrainState:
     return replace(
         state,
         gaussians=jax.tree.map(of_kept, state.gaussians),
-        opt_state=optimizers.map_moments(optimizer, of_kept, state.opt_state),
+        opt_state=optimizers.map_moments(state.opt_state, optimizer, of_kept),
         statistics=jax.tree.map(of_kept, state.statistics),
     )
 

@@ -1,9 +1,8 @@
 """The host loop over the phases: what each compares with and learns from, and when Gaussians multiply."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -12,21 +11,21 @@ from jax import Array
 from jax.sharding import Mesh
 
 from gsjax.effects import sky
-from gsjax.effects.simulation import NO_EFFECTS, Effects
+from gsjax.effects.simulation import Effects
 from gsjax.scene import Frame, Keep, batches, in_memory
 from gsjax.scene.batches import Batch, Batches
-from gsjax.settings import Settings
 from gsjax.training import buffers, data_parallel
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.optimizers import Optimizer
-from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
-from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
+from gsjax.training.plan import Plan, PlannedPhase
+from gsjax.training.state import TrainState, cull, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.stepping import Feed, advance, faulty_terms, one_view, photo_of, several_views, view_order
-from gsjax.training.terms import LossTerm, Term
+from gsjax.training.terms import LossTerm
 from gsjax.training.terms.multi_view import with_neighbors
+from gsjax.training.trainer import Densification, densify_within
 
 ReadNormals = Callable[[TrainState], Sequence[np.ndarray]]
 """Training so far -> an int8 normal map a frame, see `gsjax.scene.batches.Batch`."""
@@ -79,31 +78,6 @@ class Work:
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; None with a mesh
     shares: Callable[[], np.ndarray | float] = lambda: 1.0  # of `with_neighbors`; called after `normal_source`
     make_step: Callable[..., TrainStep] = field(default_factory=lambda: kept_step)  # as `make_train_step`
-
-
-def fit(
-    settings: Settings,
-    frames: Sequence[Frame],
-    extent: float,
-    state: TrainState,
-    optimizer: Optimizer,
-    *,
-    terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
-    densification: DensificationRule | None = None,
-    effects: Effects = NO_EFFECTS,
-    capacity: int | None = None,
-    **shared: Any,
-) -> TrainState:
-    """Plan a run with its own terms and rule, see `gsjax.training.plan.plan`, and `follow` the plan.
-
-    `shared` are further fields of `Work`.
-
-    Raises:
-        InputError: A weight has no term, a term cannot be computed, or as of `follow`.
-    """
-    planned = plan(settings, terms, tuple(effects), densification)
-    check_terms(planned, frames)
-    return follow(Work(planned, frames, extent, optimizer, effects=effects, **shared), state, capacity)
 
 
 def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainState:
@@ -312,18 +286,8 @@ def _ends_densification(plan: Plan, phase: PlannedPhase, step: int) -> bool:
 def _densify_when_due(work: Work, rule: DensificationRule, step: int, state: TrainState, key: Array) -> TrainState:
     plan, density = work.plan, work.plan.density
     if gradient_driven.densifies(density, step):
-        large = np.bool_(gradient_driven.prunes_large(density, step))
-        state = buffers.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians, rule=rule)
-        state = densify(
-            state,
-            key,
-            np.float32(work.extent),
-            large,
-            optimizer=work.optimizer,
-            density=density,
-            budget=plan.max_gaussians,
-            rule=rule,
-        )
+        how = Densification(rule, density, work.extent)
+        state = densify_within(state, work.optimizer, how, key, step=step, budget=plan.max_gaussians)
     if gradient_driven.resets_opacities(density, step, plan.background):
-        state = reset_opacities(state, optimizer=work.optimizer, limit=gradient_driven.RESET_OPACITY)
+        state = reset_opacities(state, limit=gradient_driven.RESET_OPACITY)
     return state

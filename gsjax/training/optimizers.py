@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -12,6 +12,7 @@ import optax
 from jax import Array
 
 import rasterizer
+from gsjax.gaussians import Gaussians
 from gsjax.settings import COLOR_RATE, MEANS_FINAL, OPACITY_RATE, Rates
 from rasterizer import Moments
 
@@ -105,7 +106,7 @@ def falling_at_last(rate: float, final_share: float, steps: int) -> Rate:
     return optax.exponential_decay(rate, last, final_share, transition_begin=begin, end_value=end_value)
 
 
-def apply_gradients(optimizer: Optimizer, parameters: P, state: Any, gradients: P, skipped: Array) -> tuple[P, Any]:
+def apply_gradients(parameters: P, state: Any, optimizer: Optimizer, gradients: P, skipped: Array) -> tuple[P, Any]:
     """One optimiser step; parameters and state as they were where `skipped`, a `[]` bool."""
     if isinstance(optimizer, Adam):
         return optimizer.step(parameters, gradients, state, skipped)
@@ -120,16 +121,36 @@ def unless(skipped: Array, before: P, after: P) -> P:
     return jax.tree.map(lambda old, new: jnp.where(skipped, old, new), before, after)
 
 
-def map_moments(optimizer: Optimizer, f, state: Any) -> Any:
+def map_moments(state: Any, optimizer: Optimizer, f) -> Any:
     """Apply `f` to every moment array of an optimiser state (leading axis: Gaussians) and to nothing else."""
     return optax.tree.map_params(optimizer, f, state)
 
 
-def rearrange_moments(optimizer: Optimizer, state: Any, source: Array, fresh: Array) -> Any:
+def zero_moments(opt_state: Any, *fields: str) -> Any:
+    """Zero the moments of fields of `Gaussians`, such as "logit_opacities", in the state of `adam` or any of optax.
+
+    A field that was set by hand keeps the moments of its former values otherwise. May be called inside `jit`.
+
+    Raises:
+        ValueError: `Gaussians` has no such field.
+    """
+    for name in fields:
+        if name not in (arrays := Gaussians.__annotations__.keys() - {"pixel_filter"}):
+            raise ValueError(f"field {name!r} is none of {', '.join(sorted(arrays))}")
+
+    def without(moments: Any) -> Any:
+        if not isinstance(moments, Gaussians):
+            return moments
+        return replace(moments, **{name: jax.tree.map(jnp.zeros_like, getattr(moments, name)) for name in fields})
+
+    return jax.tree.map(without, opt_state, is_leaf=lambda node: isinstance(node, Gaussians))
+
+
+def rearrange_moments(state: Any, optimizer: Optimizer, source: Array, fresh: Array) -> Any:
     """Moments follow their Gaussian: row i has those of row `source[i]` (`[N]` int32), or zero where `fresh[i]`."""
 
     def rearranged(moment):
         keep = (~fresh).reshape(-1, *[1] * (moment.ndim - 1))
         return jnp.where(keep, moment[source], 0)
 
-    return map_moments(optimizer, rearranged, state)
+    return map_moments(state, optimizer, rearranged)

@@ -37,14 +37,14 @@ class TrainState:
 def initial_state(
     gaussians: Gaussians,
     optimizer: Optimizer,
-    rule: DensificationRule = DENSIFICATION_RULES["adc"],
+    rule: DensificationRule | None = DENSIFICATION_RULES["adc"],
     effects: Effects = NO_EFFECTS,
 ) -> TrainState:
-    """Step 0."""
+    """Step 0, with statistics of the rule; None: without any."""
     return TrainState(
         gaussians,
         optimizer.init(gaussians),
-        rule.empty_statistics(gaussians.num_gaussians),
+        rule.empty_statistics(gaussians.num_gaussians) if rule else (),
         jnp.zeros((), jnp.int32),
         simulation.initial_state(effects),
     )
@@ -78,20 +78,16 @@ def densify(
         prune_large=prune_large,
         count=count,
     )
-    opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, moved.source, moved.fresh)
+    opt_state = optimizers.rearrange_moments(state.opt_state, optimizer, moved.source, moved.fresh)
     statistics = rule.empty_statistics(gaussians.num_gaussians)
     return replace(state, gaussians=gaussians, opt_state=opt_state, statistics=statistics)
 
 
-@partial(jax.jit, static_argnames=("optimizer", "limit"), donate_argnums=0)
-def reset_opacities(state: TrainState, *, optimizer: Optimizer, limit: float) -> TrainState:
-    """Cap the opacities at `limit` and forget their moments. The state is donated, see `densify`."""
-    capacity = state.gaussians.num_gaussians
-    # The opacities' moments are the only per-Gaussian arrays of rank 1.
-    opt_state = optimizers.map_moments(
-        optimizer, lambda m: jnp.zeros_like(m) if m.shape == (capacity,) else m, state.opt_state
-    )
+@partial(jax.jit, static_argnames="limit", donate_argnums=0)
+def reset_opacities(state: TrainState, *, limit: float) -> TrainState:
+    """Cap the opacities at `limit` and zero their moments. The state is donated, see `densify`."""
     gaussians = gradient_driven.reset_opacities(state.gaussians, limit)
+    opt_state = optimizers.zero_moments(state.opt_state, "logit_opacities")
     return replace(state, gaussians=gaussians, opt_state=opt_state)
 
 
@@ -110,7 +106,7 @@ def remove(state: TrainState, mask: Array, *, optimizer: Optimizer) -> TrainStat
 def _with_fewer(state: TrainState, mask: Array, optimizer: Optimizer) -> TrainState:
     gaussians = gradient_driven.kill(state.gaussians, mask)
     rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
-    opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~is_alive(gaussians))
+    opt_state = optimizers.rearrange_moments(state.opt_state, optimizer, rows, ~is_alive(gaussians))
     return replace(state, gaussians=gaussians, opt_state=opt_state)
 
 

@@ -220,7 +220,7 @@ def make_train_step(
 
     def update(state: TrainState, gradients: _Free, outcome: Outcome, skipped: Array) -> TrainState:
         gaussians, opt_state = optimizers.apply_gradients(
-            optimizer, state.gaussians, state.opt_state, gradients.gaussians, skipped
+            state.gaussians, state.opt_state, optimizer, gradients.gaussians, skipped
         )
         before = state.statistics, state.step, state.effects
         after = outcome.statistics, state.step + 1, simulation.update_effects(effects, state.effects, gradients.numbers)

@@ -4,7 +4,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,7 @@ from gsjax.training.step import Metrics
 from gsjax.training.terms.multi_view import draw_neighbor
 
 S = TypeVar("S")  # A state of training.
+TakeStep = Callable[[S, Batch, Array], tuple[S, Metrics]]
 
 logger = logging.getLogger("gsjax")
 
@@ -29,6 +30,31 @@ NOT_FINITE = "the loss or a gradient is not finite"
 
 Feed = Callable[[Batches, int, float], Callable[[int], Batch]]
 """(photos, seed of their order, share of the device's memory) -> steps done -> what the next step compares with."""
+
+
+class Program(Generic[S]):
+    """A compiled step, and its pair buffer that grows: a run and a loop of one's own take their steps by it."""
+
+    def __init__(self, compiled: Callable[[int], TakeStep[S]], capacity: int, room: float):
+        """`compiled` is pair capacity -> step, which leaves the state as it was where it overflows.
+
+        A buffer that was too short becomes `room` times as long as needed.
+        """
+        self.compiled, self.capacity, self.room = compiled, capacity, room
+        self.step = compiled(capacity)
+
+    def lengthen(self, needed: Any, least: int = 0) -> None:
+        """Compile for a buffer that holds so many pairs."""
+        self.capacity = max(least, rounded_capacity(int(needed), self.room))
+        self.step = self.compiled(self.capacity)
+
+    def whole_step(self, state: S, view: Batch, key: Array) -> tuple[S, Metrics]:
+        """One step, repeated until it does not overflow."""
+        while True:
+            state, metrics = self.step(state, view, key)
+            if not metrics.overflowed:
+                return state, metrics
+            self.lengthen(metrics.needed)
 
 
 def view_order(seed: int, step: int, num_views: int) -> int:
@@ -87,7 +113,7 @@ def several_views(
 
 
 def advance(
-    compiled: Callable[[int], Callable[[S, Batch, Array], tuple[S, Metrics]]],
+    compiled: Callable[[int], TakeStep[S]],
     after: Callable[[int, S, Metrics, int], S],
     state: S,
     data: Batches,
@@ -103,14 +129,14 @@ def advance(
     """Take the steps of one program, each with its view, and make room where a view needs it.
 
     Args:
-        compiled: Pair capacity -> step. A step that overflows leaves the state as it was, and is repeated.
+        compiled: As in `Program`.
         after: (steps done, state, metrics, capacity) -> state, after every step.
         state: Where to start.
         data: The views.
         steps: Steps done so far, and at the end.
         seed: Of the order of views, and of the key that every step gets.
         capacity: Pair buffer to start with.
-        room: How much longer than needed the buffer is made where it was too short.
+        room: As in `Program`.
         feed: What a step compares with.
         looks: Steps done -> whether `after` reads their state. After others the next step is begun before it is
             known whether this one overflowed, so that a GPU never waits, and `after` gets a later state. The numbers
@@ -124,7 +150,7 @@ def advance(
     Raises:
         InputError: The device has no room, or a loss or a gradient is not finite. That step is not taken.
     """
-    key, target, train_step = jax.random.key(seed), None, compiled(capacity)
+    key, target, program = jax.random.key(seed), None, Program(compiled, capacity, room)
     view_share = VIEW_SHARE
     done, end = steps
     ahead = None if looks is None else int(state.step) - done  # pyright: ignore[reportAttributeAccessIssue]
@@ -135,34 +161,33 @@ def advance(
         try:
             target = target or feed(data, seed, view_share)
             here = target(step) if ahead is None else replace(target(step), turn=np.int32(step + ahead))
-            state, metrics = train_step(state, here, key)
+            state, metrics = program.step(state, here, key)
             pending.append(metrics)
             is_seen = looks is None or step + 1 == end or looks(step + 1)
             to_check = pending if is_seen else pending[:-1]
             num_taken = next((index for index, each in enumerate(to_check) if not _is_taken(each)), len(to_check))
         except jax.errors.JaxRuntimeError as error:
             if not is_out_of_memory(error) or not can_stream(state, data, view_share):
-                raise no_room(error, data, capacity) from error
+                raise no_room(error, data, program.capacity) from error
             logger.warning("the device is full: photos are sent to it one by one from here on")
             target, view_share = None, 0.0
             continue
         for metrics in to_check[:num_taken]:
             done += 1
             needed.append(metrics.needed)
-            before, state = state, after(done, state, metrics, capacity)
+            before, state = state, after(done, state, metrics, program.capacity)
             if is_compiled_anew(before, state):  # The pairs get their room in the same compilation.
-                capacity = max(capacity, rounded_capacity(max(map(int, needed)), room))
-                train_step = compiled(capacity)
+                program.lengthen(max(map(int, needed)), least=program.capacity)
         if num_taken < len(to_check):  # What was begun after it has left the state as it was, too.
             if not to_check[num_taken].overflowed:
                 missed = target(done) if ahead is None else replace(target(done), turn=np.int32(done + ahead))
-                fault = explain(done, state, missed, capacity)
+                fault = explain(done, state, missed, program.capacity)
                 raise InputError(f"step {done + 1:,}, {fault}; training stops before it and keeps what it saved")
-            capacity = rounded_capacity(int(to_check[num_taken].needed), room)
-            train_step, pending = compiled(capacity), []
+            program.lengthen(to_check[num_taken].needed)
+            pending = []
         else:
             pending = pending[num_taken:]
-    return state, capacity
+    return state, program.capacity
 
 
 def _is_taken(metrics: Metrics) -> bool:

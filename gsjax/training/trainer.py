@@ -1,10 +1,9 @@
-"""A training loop of your own (`docs/own_loop.md`): what `gsjax.train` uses, one step at a time."""
+"""A training loop of your own (`docs/own_loop.md`), of the same steps and densifications as a run's loop."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -12,7 +11,7 @@ from gsjax import rendering
 from gsjax.gaussians import Gaussians
 from gsjax.scene.batches import Batch
 from gsjax.settings import Density, Rates
-from gsjax.training import optimizers
+from gsjax.training import buffers, optimizers
 from gsjax.training import state as states
 from gsjax.training.capacity import headroom, rounded_capacity
 from gsjax.training.densification import gradient_driven
@@ -20,6 +19,7 @@ from gsjax.training.densification.rules import DENSIFICATION_RULES, Densificatio
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.state import TrainState
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
+from gsjax.training.stepping import Program
 from gsjax.training.terms import TERMS, LossTerm, Term, needs, weigh_terms
 
 Losses = Mapping[str, "float | tuple[float, Term | Callable[..., Array]]"]
@@ -63,7 +63,7 @@ def init(gaussians: Gaussians, optimizer: Optimizer) -> TrainState:
         gaussians: `from_points` makes some. Their number of rows is the budget of Gaussians.
         optimizer: Over `Gaussians`: `adam`, or any optax transformation.
     """
-    return TrainState(gaussians, optimizer.init(gaussians), (), jnp.zeros((), jnp.int32))
+    return states.initial_state(gaussians, optimizer, rule=None)
 
 
 @dataclass(frozen=True)
@@ -75,27 +75,40 @@ class Densification:
     extent: float  # scene units
 
 
-def densification(rule: str | DensificationRule, optimizer: Any, **thresholds: Any) -> Densification:
+def densification(
+    rule: str | DensificationRule,
+    optimizer: Any = None,
+    *,
+    extent: float | None = None,
+    steps: int | None = None,
+    **thresholds: Any,
+) -> Densification:
     """The densification of a training: over half of its steps, the budget full after 0.3 of them.
 
     Args:
         rule: Name in `gsjax.training.densification.rules.DENSIFICATION_RULES`, or a rule of one's own.
-        optimizer: Of `adam`, which knows extent and steps.
+        optimizer: Of `adam`, which knows extent and steps. Any other: give both.
+        extent: Of the cameras, scene units: `Scene.extent`.
+        steps: Of the training.
         thresholds: Fields of `gsjax.settings.Density` that differ.
 
     Raises:
-        ValueError: The rule is unknown, or the optimizer is not of `adam`.
+        ValueError: The rule, the extent or the steps are unknown.
     """
-    if not isinstance(optimizer, SceneAdam):
-        raise ValueError("densify='...' needs extent and steps: use gsjax.adam(...), or hand in a Densification")
+    if isinstance(optimizer, SceneAdam):
+        extent, steps = extent or optimizer.extent, steps or optimizer.steps
+    if extent is None or steps is None:
+        raise ValueError(
+            "the rule needs extent and steps: use gsjax.adam(...), or gsjax.densification(..., extent=, steps=)"
+        )
     if isinstance(rule, str) and rule not in DENSIFICATION_RULES:
         raise ValueError(f"densify={rule!r} is none of {', '.join(DENSIFICATION_RULES)}")
-    stop = max(1, round(DENSIFY_UNTIL * optimizer.steps))
+    stop = max(1, round(DENSIFY_UNTIL * steps))
     defaults = {"start": 0, "stop": stop, "full_by": FULL_BY, "reset_every": 0}
     return Densification(
         DENSIFICATION_RULES[rule] if isinstance(rule, str) else rule,
         Density(**{**defaults, **thresholds}),
-        optimizer.extent,
+        extent,
     )
 
 
@@ -113,15 +126,22 @@ def densify(state: TrainState, key: Array) -> TrainState:
     step = int(state.step)
     if step >= how.density.stop:
         return state
+    return densify_within(state, state.optimizer, how, key, step=step, budget=state.gaussians.num_gaussians)
+
+
+def densify_within(
+    state: TrainState, optimizer: Optimizer, how: Densification, key: Array, *, step: int, budget: int
+) -> TrainState:
+    """The state after `step` steps, densified, in buffers that hold as many Gaussians as that makes within a budget."""
     return states.densify(
-        state,
+        buffers.with_room_to_densify(state, optimizer, how.density, budget, rule=how.rule),
         key,
-        jnp.float32(how.extent),
-        jnp.asarray(gradient_driven.prunes_large(how.density, step)),
-        optimizer=state.optimizer,
+        np.float32(how.extent),
+        np.bool_(gradient_driven.prunes_large(how.density, step)),
+        optimizer=optimizer,
         density=how.density,
         rule=how.rule,
-        budget=state.gaussians.num_gaussians,
+        budget=budget,
     )
 
 
@@ -139,21 +159,17 @@ class Step:
         """As `train_step` hands them over; `how` goes to `make_train_step`."""
         self.optimizer, self.terms, self.densification, self.how = optimizer, terms, densification, how
         self.needs = needs(terms)
-        self._steps: dict[int, TrainStep] = {}
-        self._capacity = 0
+        self._program: Program[TrainState] | None = None
 
     def __call__(self, state: TrainState, view: Batch, key: Array) -> tuple[TrainState, Metrics]:
         """Descend the loss of one view. The buffers of `state` are donated: use the state that is returned."""
         state = self._prepared(state)
         self._check(view)
-        room = headroom(grows=self.densification is not None)
-        if not self._capacity:
-            self._capacity = rounded_capacity(rendering.largest_need(state.gaussians, [view.camera]), room)
-        while True:
-            state, metrics = self._compiled(self._capacity)(state, view, key)
-            if not metrics.overflowed:
-                return state, metrics
-            self._capacity = rounded_capacity(int(metrics.needed), room)
+        if self._program is None:
+            room = headroom(grows=self.densification is not None)
+            needed = rendering.largest_need(state.gaussians, [view.camera])
+            self._program = Program(self._compiled, rounded_capacity(needed, room), room)
+        return self._program.whole_step(state, view, key)
 
     def _prepared(self, state: TrainState) -> TrainState:
         if state.densification == self.densification and state.optimizer == self.optimizer:
@@ -170,9 +186,7 @@ class Step:
                 raise ValueError(f"{terms}: needs {name}, which this view does not have")
 
     def _compiled(self, capacity: int) -> TrainStep:
-        if capacity not in self._steps:
-            self._steps = {capacity: make_train_step(self.optimizer, self.terms, capacity=capacity, **self.how)}
-        return self._steps[capacity]
+        return make_train_step(self.optimizer, self.terms, capacity=capacity, **self.how)
 
 
 def train_step(

@@ -19,7 +19,7 @@ from gsjax.binding.refinement import PRESETS as REFINEMENTS
 from gsjax.binding.refinement import Refinement
 from gsjax.meshing import level_set, poisson
 from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.presets import PRESETS, REFINED_BY
+from gsjax.presets import PRESETS, REFINED_BY, preset
 from gsjax.settings import COLOR_RATE, MEANS_FINAL, OPACITY_RATE, Density, Rates, Settings
 from gsjax.training.densification import gradient_driven
 from gsjax.training.initialize import from_points
@@ -51,10 +51,6 @@ def budgets(settings: Settings) -> list[Budget]:
         Budget(p.steps, p.density_control, p.weights.get("entropy", 0), p.weights.get("sdf_normal", 0), p.cull_below)
         for p in settings.schedule.phases
     ]
-
-
-def preset(name: str) -> Settings:
-    return config.parse(Settings, PRESETS[name])
 
 
 def refined(name: str) -> Refinement:

@@ -9,7 +9,6 @@ from trained_run import FEW_POINTS, MASK, SETTINGS
 
 from gsjax import config, pipeline, runs
 from gsjax.io.images import write_image
-from gsjax.settings import Settings
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -38,7 +37,7 @@ def run(scene, tmp_path_factory) -> Path:
         assert newest is None or newest[0] < progress.step, "told before the checkpoint is written"
         steps.append(progress.step)
 
-    summary = pipeline.train(scene, folder, config.parse(Settings, SETTINGS), observe=observe)
+    summary = pipeline.train(scene, folder, SETTINGS, observe=observe)
     assert steps == list(range(1, 31))
     assert summary["steps"] == 30
     assert summary["views"] == 2
@@ -51,7 +50,7 @@ def first_phase(scene, tmp_path_factory) -> tuple[Path, dict]:
     phases = SETTINGS["schedule"]["phases"][:1]
     settings = config.merge(SETTINGS, {"schedule": {"phases": phases}, "rates": {"decay_steps": 30}})
     folder = tmp_path_factory.mktemp("runs") / "first"
-    pipeline.train(scene, folder, config.parse(Settings, settings))
+    pipeline.train(scene, folder, settings)
     return folder, settings
 
 

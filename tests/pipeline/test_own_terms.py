@@ -14,24 +14,14 @@ from gsjax import config, pipeline, runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.runs.checkpoints import load_arrays
-from gsjax.settings import Settings
 from gsjax.training.terms import Term
 
-ENDED = config.parse(
-    Settings,
-    config.merge(
-        SETTINGS,
-        {
-            "schedule": {
-                "phases": [
-                    {"name": "plain", "steps": 3, "image_scale": 2},
-                    {"name": "round", "steps": 5, "image_scale": 2, "weights": {"needles": 5.0, "near": 0.1}},
-                ]
-            },
-            "logging": {"metrics_every": 5, "evaluate_every": 0, "checkpoint_every": 4},
-        },
-    ),
-)
+PHASES = [
+    {"name": "plain", "steps": 3, "image_scale": 2},
+    {"name": "round", "steps": 5, "image_scale": 2, "weights": {"needles": 5.0, "near": 0.1}},
+]
+LOGGING = {"metrics_every": 5, "evaluate_every": 0, "checkpoint_every": 4}
+ENDED = config.merge(SETTINGS, {"schedule": {"phases": PHASES}, "logging": LOGGING})
 
 
 def needles(gaussians, view, batch):
@@ -81,7 +71,6 @@ def test_a_gradient_that_is_not_finite_ends_a_run_that_goes_on_once_its_term_is_
     ("own", "line"),
     [
         ({"near": Term(near)}, "the loss term 'near' reads the rendered depth, `View.depth`, and does not declare it"),
-        ({"near": lambda g, v, b: v.alphas}, r"the loss term 'near' returns an array of shape \(20, 24\)"),
         ({"near": 0.5}, "terms.near is 0.5, expected a function"),
         ({"near": None}, r"schedule\.phases\.round\.weights\.near: no such term of the loss"),
     ],
@@ -94,13 +83,7 @@ def test_a_term_of_a_later_phase_is_tried_before_any_photo_is_read(scene, tmp_pa
     assert not (tmp_path / "run").exists()
 
 
-DENSIFIED = config.parse(
-    Settings,
-    config.merge(
-        SETTINGS,
-        {"schedule": {"phases": [{"name": "coarse", "steps": 12, "image_scale": 2, "density_control": True}]}},
-    ),
-)
+DENSIFIED = config.merge(SETTINGS, {"schedule": {"phases": SETTINGS["schedule"]["phases"][:1]}})
 
 
 def fixed_number(gaussians, statistics, density, *, step, budget):

@@ -13,15 +13,13 @@ from gsjax.io import json_files
 from gsjax.io.scenes import load_scene
 from gsjax.runs.result import scene_of_run
 from gsjax.runs.run import Run
-from gsjax.settings import Settings
 
-ASKED = {
+SETTINGS = {
     "model": {"max_gaussians": 300, "sh_degree": 0},
     "photos": {"hold_out": "3"},
     "schedule": {"phases": [{"name": "all", "steps": 6}]},
     "logging": {"metrics_every": 3, "evaluate_every": 6, "checkpoint_every": 3},
 }
-SETTINGS = config.parse(Settings, ASKED)
 NAMES = [f"{n:03d}.png" for n in range(9)]
 
 
@@ -66,7 +64,7 @@ def test_photos_deleted_before_a_resume_do_not_shift_the_split(listed, tmp_path,
 
 
 def test_with_exposure_of_each_photo_a_trained_photo_must_be_there_and_a_held_out_one_need_not(listed, tmp_path):
-    settings, run = config.parse(Settings, config.merge(ASKED, {"effects": {"names": "exposure"}})), tmp_path / "run"
+    settings, run = config.merge(SETTINGS, {"effects": {"names": "exposure"}}), tmp_path / "run"
     train_until_killed(4, listed, run, settings)
     backup = shutil.copytree(listed, tmp_path / "whole")
     delete(listed, NAMES[2])
@@ -120,8 +118,10 @@ def test_eval_refuses_a_place_without_the_photos_keeps_the_split_and_names_what_
 def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp_path, capfd):
     run, place = tmp_path / "run", tmp_path / "elsewhere/set"
     (listed / "mine.txt").write_text(f"{NAMES[2]}\n")
-    settings = config.merge(ASKED, {"photos": {"hold_out": str(listed / "mine.txt"), "images": str(listed / "images")}})
-    train_until_killed(4, listed, run, config.parse(Settings, settings))
+    settings = config.merge(
+        SETTINGS, {"photos": {"hold_out": str(listed / "mine.txt"), "images": str(listed / "images")}}
+    )
+    train_until_killed(4, listed, run, settings)
     place.parent.mkdir()
     shutil.move(listed, place)
     assert cli.main(["train", str(place), "--out", str(run), "--resume"]) == 2

@@ -21,7 +21,6 @@ from small_scenes import built_in
 from gsjax import config, pipeline
 from gsjax.meshing.methods import METHODS
 from gsjax.presets import DEMO
-from gsjax.settings import Settings
 
 STEPS, POINTS = 250, 8_000
 WEIGHTS = {"none": {}, "sdf_normal": {"sdf_normal": 0.2}, "pixel_normal": {"pixel_normal": 0.6}}
@@ -48,7 +47,7 @@ def trained(scene: Path, weights: dict[str, float]) -> Path:
         "logging": {"metrics_every": STEPS, "evaluate_every": 0, "checkpoint_every": 10 * STEPS},
     }
     run = scene.parent / f"{'_'.join(weights) or 'none'}"
-    pipeline.train(scene, run, config.parse(Settings, config.merge(DEMO, differences)))
+    pipeline.train(scene, run, config.merge(DEMO, differences))
     return run
 
 

@@ -125,7 +125,7 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_
 
     def train(data_set, folder, settings, warm_start):
         settings_by_run[folder.name] = settings
-        assert warm_start == (None if settings.schedule.vanilla else tmp_path / "demo/vanilla")
+        assert warm_start == (None if settings["schedule"]["vanilla"] else tmp_path / "demo/vanilla")
         shutil.copytree(run, folder)
 
     def mesh(folder, out, points):
@@ -134,10 +134,10 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, run_mesh, run_
 
     small = SimpleNamespace(train=train, mesh=mesh, evaluate=lambda folder: run_scores)
     monkeypatch.setattr(demo, "pipeline", small)
-    monkeypatch.setattr(demo.analytic_scene, "write", lambda folder, **_: scene)
+    monkeypatch.setattr(demo.analytic_scene, "write_built_in_scene", lambda folder, **_: scene)
     report = demo.run(tmp_path / "demo")
-    assert [settings.schedule.vanilla for settings in settings_by_run.values()] == [True, False]
-    assert {settings.supervision.normals for settings in settings_by_run.values()} == {str(scene / "normals")}
+    assert [settings["schedule"]["vanilla"] for settings in settings_by_run.values()] == [True, False]
+    assert {settings["supervision"]["normals"] for settings in settings_by_run.values()} == {str(scene / "normals")}
     assert report["vanilla"] == report["surface"], "both are one run here"
     assert report["floor"]["chamfer"] < 5e-4 < report["surface"]["chamfer"] < 0.2
     panels = read_image(report["picture"])[0].reshape(-1, 3)

@@ -6,15 +6,13 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-from gsjax import config, pipeline, runs
-from gsjax.settings import Settings
+from gsjax import pipeline, runs
 
 PROGRAM = """
 import sys, json
-from gsjax import config, pipeline
-from gsjax.settings import Settings
+from gsjax import pipeline
 scene, out, settings = sys.argv[1:]
-pipeline.train(scene, out, config.parse(Settings, json.loads(settings)))
+pipeline.train(scene, out, json.loads(settings))
 """
 
 
@@ -36,11 +34,8 @@ def test_one_thread(first_phase, scene, tmp_path):
 def test_two_trainings_in_two_threads(first_phase, scene, tmp_path):
     reference, settings = first_phase
 
-    def train(name):
-        pipeline.train(scene, tmp_path / name, config.parse(Settings, settings))
-
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(train, ("one", "other")))
+        list(pool.map(lambda name: pipeline.train(scene, tmp_path / name, settings), ("one", "other")))
     for name in ("one", "other"):
         assert_same(tmp_path / name, reference)
         assert "<svg" in (tmp_path / name / "report.html").read_text()

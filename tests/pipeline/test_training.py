@@ -16,7 +16,6 @@ from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.planning import preparation, sparse_view_validation, sparse_views
 from gsjax.planning.sparse_views import Gain
-from gsjax.settings import Settings
 
 
 def first_state_of(scene, folder, settings, **how):
@@ -75,7 +74,7 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path):
         {**phase, "weights": {"sdf_normal": 0.0, **phase.get("weights", {})}}
         for phase in SETTINGS["schedule"]["phases"]
     ]
-    settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"phases": phases}}))
+    settings = config.merge(SETTINGS, {"schedule": {"phases": phases}})
     folder = tmp_path / "run"
     train_until_killed(23, scene, folder, settings)
     assert sorted(file.name for file in (folder / "checkpoints").iterdir()) == ["step_0000020.npz", "step_0000021.npz"]
@@ -93,26 +92,26 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path):
 
 def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run, scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("gsjax.planning.memory.free_memory", lambda: 0)
-    pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS))
+    pipeline.train(scene, tmp_path / "run", SETTINGS)
     assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert "each step reads its photo from the disk" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
 
 
 def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene, tmp_path, monkeypatch, capsys):
-    capacities, settings = [], config.parse(Settings, SETTINGS)
+    capacities = []
 
     def far_away(scene, planned, swept):
         capacities.append(planned.max_gaussians)
         return replace(scene, points=scene.points + np.float32(100)), ("found some",)
 
     monkeypatch.setattr(preparation, "with_stereo_points", far_away)
-    state = first_state_of(scene, tmp_path / "begun", settings)
+    state = first_state_of(scene, tmp_path / "begun", SETTINGS)
     assert capacities == [900] and "train: found some\n" in capsys.readouterr().err
     assert np.median(state.gaussians.alive().means) > 90
     shutil.copytree(run, tmp_path / "run")
-    first_state_of(scene, tmp_path / "run", settings, resume=True)
-    first_state_of(scene, tmp_path / "other", settings, warm_start=run)
+    first_state_of(scene, tmp_path / "run", SETTINGS, resume=True)
+    first_state_of(scene, tmp_path / "other", SETTINGS, warm_start=run)
     assert capacities == [900] and "found some" not in capsys.readouterr().err
 
 
@@ -126,7 +125,7 @@ def test_sparse_view_validation_runs_are_made_once_and_a_run_goes_on_as_they_sai
     monkeypatch.setattr(sparse_view_validation, "gain", helps)
     monkeypatch.setattr(sparse_views, "SHORTEST", 12)
     first = SETTINGS["schedule"]["phases"][:1]
-    settings = config.parse(Settings, config.merge(SETTINGS, {"schedule": {"sparse_views": True, "phases": first}}))
+    settings = config.merge(SETTINGS, {"schedule": {"sparse_views": True, "phases": first}})
     for how in ({}, {"resume": True}):
         first_state_of(scene, run, settings, **how)
         line = "with 450 Gaussians, of which each step leaves out 20% (validation runs: +0.5 +-0.1 dB)"
@@ -138,8 +137,7 @@ def test_sparse_view_validation_runs_are_made_once_and_a_run_goes_on_as_they_sai
 
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, first_phase, scene, tmp_path):
     first_run, whole = shutil.copytree(first_phase[0], tmp_path / "begun"), tmp_path / "whole"
-    settings = config.parse(Settings, SETTINGS)
-    pipeline.train(scene, whole, settings, warm_start=first_run)
+    pipeline.train(scene, whole, SETTINGS, warm_start=first_run)
     assert (whole / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert [record["step"] for record in runs.read_metrics(whole)] == [5, 10, 12, 15, 20, 25, 30]
 
@@ -149,11 +147,11 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, first_phase, 
     early = list((first_run / "checkpoints").iterdir())
     for later in (run / "checkpoints").iterdir():
         shutil.copy(later, first_run / "checkpoints")
-    assert first_state_of(scene, tmp_path / "parted", settings, warm_start=first_run).step == 12
+    assert first_state_of(scene, tmp_path / "parted", SETTINGS, warm_start=first_run).step == 12
     for file in early:
         file.unlink()
     with pytest.raises(InputError, match="begun: has no checkpoint of the 12 steps that this run has in common"):
-        pipeline.train(scene, tmp_path / "none", settings, warm_start=first_run)
+        pipeline.train(scene, tmp_path / "none", SETTINGS, warm_start=first_run)
     assert not (tmp_path / "none").exists()
 
 
@@ -167,7 +165,7 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
     model.write_binary(tmp_path / "scene/sparse/0")
     shutil.copy(scene / "gt_points.npz", tmp_path / "scene")
     photos = {"hold_out": "none", "images": str(scene / "images")}
-    settings = config.parse(Settings, config.merge(SETTINGS, {"photos": photos}))
+    settings = config.merge(SETTINGS, {"photos": photos})
     summary = pipeline.train(tmp_path / "scene", tmp_path / "run", settings)
     assert (summary["psnr"], summary["ssim"], summary["views"], summary["steps"]) == (None, None, 0, 30)
     assert not any(camera["held_out"] for camera in json_files.read(tmp_path / "run/cameras.json"))

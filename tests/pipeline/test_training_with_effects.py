@@ -8,15 +8,12 @@ from gsjax import config, pipeline, runs
 from gsjax.io import json_files
 from gsjax.runs.checkpoints import load_arrays
 from gsjax.runs.result import open_result, scene_of_run
-from gsjax.settings import Settings
 
 
 def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch):
     """Its photos are clean: `auto` takes nothing in and ends with the bits of a run that was not asked."""
     short = {"schedule": {"phases": [{"name": "vanilla", "steps": 16, "density_control": True}]}}
-    settings = config.parse(
-        Settings, config.merge(SETTINGS, short, {"effects": {"names": "exposure,vignetting,poses,background"}})
-    )
+    settings = config.merge(SETTINGS, short, {"effects": {"names": "exposure,vignetting,poses,background"}})
     whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
     summary = pipeline.train(scene, whole, settings)
     train_until_killed(9, scene, stopped, settings)
@@ -56,7 +53,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
 
     assert open_result(whole).background.shape == (1, 3), "the built-in scene stands before one white"
 
-    pipeline.train(scene, auto, config.parse(Settings, config.merge(SETTINGS, {"effects": {"names": "auto"}})))
+    pipeline.train(scene, auto, config.merge(SETTINGS, {"effects": {"names": "auto"}}))
     assert json_files.read(auto / "manifest.json")["effects"]["simulated"] == []
     assert (auto / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))

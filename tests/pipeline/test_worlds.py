@@ -7,12 +7,11 @@ import pycolmap
 import pytest
 from trained_run import FEW_POINTS, SETTINGS
 
-from gsjax import config, pipeline, runs
+from gsjax import pipeline, runs
 from gsjax.io import json_files
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.scene.meshes import Mesh
-from gsjax.settings import Settings
 
 SHIFT = np.array([500_000.0, 4_500_000.0, 100.0])  # as of coordinates in UTM
 
@@ -40,7 +39,7 @@ def moved(scene, out):
 def test_a_run_is_the_same_in_another_world_and_lies_at_its_photos(run, run_mesh, run_scores, scene, tmp_path):
     there = moved(scene, tmp_path / "scene")
     folder = tmp_path / "run"
-    summary = pipeline.train(there, folder, config.parse(Settings, SETTINGS))
+    summary = pipeline.train(there, folder, SETTINGS)
     manifest = json_files.read(run / "manifest.json")
     assert summary["psnr"] == pytest.approx(manifest["psnr"], abs=0.1)
     ours, theirs = (runs.read_metrics(each) for each in (folder, run))

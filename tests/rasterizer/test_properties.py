@@ -9,7 +9,7 @@ from scenes import cloud, evaluate, relative_errors
 from tolerances import assert_close
 
 
-# `test_native_calls` shows the same of the native loops.
+# `pipeline/test_own_loop.py` shows the same of the native loops.
 @pytest.mark.long
 @pytest.mark.parametrize("backend", ["xla", "pallas"])
 def test_two_runs_give_the_same_bits_and_a_batch_of_cameras_is_its_cameras_with_their_gradients(backend):

@@ -111,7 +111,8 @@ def _with(everything: Seen, needs: frozenset[str]) -> Seen:
     """What a step shows a term that has these needs."""
     gaussians, view, batch = everything
     of_data = {"normals": "normals", "depth": "measured", "trust": "measured", "sky": "sky", "matte": "matte"}
-    view = view._replace(**dict.fromkeys({"depth", "axes", "neighbor"} - needs))
+    of_view = {"depth": "depth", "raw_depth": "depth", "axes": "axes", "neighbor": "neighbor"}
+    view = view._replace(**dict.fromkeys(name for name, need in of_view.items() if need not in needs))
     batch = replace(batch, **dict.fromkeys(name for name, need in of_data.items() if need not in needs))
     return gaussians, view, batch
 

@@ -77,7 +77,7 @@ def scanned(source, out, settings=None, **options):
 
 def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp_path):
     out = tmp_path / "scan"
-    report = scanned(photos, out, frames=30)
+    report = scanned(photos, out, frames=30, terms={"flat": len}, method=max)
     calls, _ = stages
     assert [(name, *(str(Path(p).relative_to(tmp_path)) for p in paths)) for name, *paths, _ in calls] == [
         ("sfm", "photos", "scan/scene"),
@@ -86,7 +86,9 @@ def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp
         ("refine", "scan/run", "scan/refined"),
         ("texture", "scan/refined", "scan/refined/mesh.ply", "scan/mesh.glb"),
     ]
-    assert calls[0][-1] == {"frames": 30} and calls[2][-1] == {}
+    assert calls[0][-1] == {"frames": 30} and calls[2][-1] == {"method": max}
+    assert calls[1][-1] == {"terms": {"flat": len}, "densification": None, "effects": {}, "resume": False}
+    assert (report["asked"]["handed_in"]["terms"], report["asked"]["method"]) == (["flat"], "max")
     assert json_files.read(out / "report.json") == json_files.plain(report)
     assert (out / "report.html").exists()
     rows = table(report)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_scenes import camera_at, plane
+from small_scenes import camera_at, fit, plane
 
 from gsjax import rendering
 from gsjax.errors import InputError
@@ -16,7 +16,6 @@ from gsjax.scene import Pixels, Scene, Tracks, frame_of
 from gsjax.scene.georeference import Place
 from gsjax.scene.similarity import Similarity
 from gsjax.settings import Model, Phase, Rates, Schedule, Settings, Supervision, Weights
-from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
 from gsjax.training.state import initial_state

@@ -46,6 +46,7 @@ def test_a_view_equals_the_dense_reference(depth_mode, degree):
     covered = alphas > rendering.MIN_COVERAGE
     assert 0.1 < covered.mean() < 0.9
     assert_close(view.depth, np.where(covered, image[..., 3] / np.where(covered, alphas, 1), 0))
+    assert_close(view.raw_depth, image[..., 3])
 
 
 def in_front_of_reference(gaussians):

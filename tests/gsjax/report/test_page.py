@@ -14,13 +14,12 @@ from gsjax import cli, config, pipeline, runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.pipeline.compare import compare
-from gsjax.presets import PRESETS
+from gsjax.presets import preset
 from gsjax.rendering.gallery import Picture
 from gsjax.report import view_pictures
 from gsjax.report.curves import LEFT, RIGHT
 from gsjax.report.page import noted, report
 from gsjax.scene import Pixels, frame_of
-from gsjax.settings import Settings
 from gsjax.training.plan import plan
 
 SIZE = (64, 48)  # width, height
@@ -70,9 +69,7 @@ def picture(uri):
 
 def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True, **settings):
     """A run folder as training leaves it, without its Gaussians and checkpoints."""
-    whole = config.parse(
-        Settings, config.merge(PRESETS["fast"], {"seed": seed, "photos": {"downscale": 2.0}, **settings})
-    )
+    whole = preset("fast", {"seed": seed, "photos": {"downscale": 2.0}, **settings})
     planned = replace(plan(whole), downscale=2.0).record()
     runs.create(folder, config.to_dict(whole), scene=folder.parent / "scene <i>", seed=seed, plan=planned)
     for index, loss in enumerate(losses):

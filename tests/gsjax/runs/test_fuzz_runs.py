@@ -17,13 +17,12 @@ from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from gsjax.networks.records import NETWORKS
 from gsjax.pipeline.normals import read_network
-from gsjax.presets import PRESETS
+from gsjax.presets import preset
 from gsjax.report.page import report
 from gsjax.runs import checkpoints
 from gsjax.runs.journal import starting_point
 from gsjax.runs.photo_effects import read_photo_effects
 from gsjax.runs.result import open_result, scene_of_run
-from gsjax.settings import Settings
 
 
 @jax.tree_util.register_dataclass
@@ -42,7 +41,7 @@ CAMERA = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20))
 def whole(tmp_path_factory):
     """A finished run, made without training."""
     run = tmp_path_factory.mktemp("runs") / "run"
-    settings = config.to_dict(config.parse(Settings, config.merge(PRESETS["fast"], {"photos": {"downscale": 2}})))
+    settings = config.to_dict(preset("fast", {"photos": {"downscale": 2}}))
     runs.create(run, settings, scene=run / "absent", seed=0)
     write_gaussians(run / "gaussians.ply", cloud(20))
     view = {"width": 24, "height": 20, "viewmat": CAMERA.viewmat, "K": CAMERA.K, "held_out": False}

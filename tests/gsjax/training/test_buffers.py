@@ -30,7 +30,7 @@ def trained(capacity, rule):
     gradients = jax.tree.map(
         lambda x: jnp.asarray(alive.reshape(-1, *[1] * (x.ndim - 1)) * np.ones(x.shape, np.float32)), gaussians
     )
-    moved, opt_state = apply_gradients(OPTIMIZER, gaussians, state.opt_state, gradients, jnp.bool_(False))
+    moved, opt_state = apply_gradients(gaussians, state.opt_state, OPTIMIZER, gradients, jnp.bool_(False))
     rising = jnp.asarray(alive * np.arange(capacity) / ALIVE, jnp.float32)
     if rule == "adc":  # Half of the rows reach the threshold.
         statistics = GradientStatistics(2 * GRADIENT * rising, jnp.asarray(alive))

@@ -4,11 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_scenes import camera_at, cloud, photographed
+from small_scenes import camera_at, cloud, fit, photographed
 
 from gsjax.errors import InputError
 from gsjax.settings import Phase, Rates, Schedule, Settings, Weights
-from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
 from gsjax.training.stepping import view_order
@@ -34,17 +33,11 @@ def test_a_value_that_is_not_finite_stops_at_the_photo_that_has_it(frames):
     faulty_step = next(step for step in range(1, 6, 2) if view_order(3, step, 3) == 1) + 1
     phases = (Phase("surface", 6, Weights(dssim=0.0, own=0.5), surface_every=2),)
     states = []
+    settings, terms = Settings(seed=3, schedule=Schedule(phases=phases)), {"own": Term(of_camera_1, {"depth"})}
+    state = initial_state(cloud(ROWS, seed=1), OPTIMIZER)
+    how = {"observe": lambda progress: states.append(jax.tree.map(np.array, progress.state)), "capacity": CAPACITY}
     with pytest.raises(InputError) as stopped:
-        fit(
-            Settings(seed=3, schedule=Schedule(phases=phases)),
-            frames,
-            EXTENT,
-            initial_state(cloud(ROWS, seed=1), OPTIMIZER),
-            OPTIMIZER,
-            observe=lambda progress: states.append(jax.tree.map(np.array, progress.state)),
-            terms={"own": Term(of_camera_1, {"depth"})},
-            capacity=CAPACITY,
-        )
+        fit(settings, frames, EXTENT, state, OPTIMIZER, terms, **how)
     assert str(stopped.value).startswith(f"step {faulty_step}, photo {frames[1].name}: the loss term 'own' is -inf;")
     assert [int(state.step) for state in states] == list(range(1, faulty_step))
     for state in states:

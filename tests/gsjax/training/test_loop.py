@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import monitoring
-from small_scenes import camera_at, cloud, photographed
+from small_scenes import camera_at, cloud, fit, photographed
 
 from gsjax.errors import InputError
 from gsjax.gaussians import opacities, take
@@ -15,7 +15,6 @@ from gsjax.training import buffers, loop
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.gradient_driven import is_alive
 from gsjax.training.densification.rules import DENSIFICATION_RULES
-from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import count_alive, initial_state
 

@@ -16,7 +16,7 @@ def stepped(rates, count):
     """The scene after steps of constant gradients, beginning with no step; and the last state of the optimizer."""
     optimizer, scenes = make_optimizer(rates, EXTENT, STEPS), [SCENE]
     state = optimizer.init(SCENE)
-    step = jax.jit(lambda scene, state: apply_gradients(optimizer, scene, state, SIGNS, jnp.bool_(False)))
+    step = jax.jit(lambda scene, state: apply_gradients(scene, state, optimizer, SIGNS, jnp.bool_(False)))
     for _ in range(count):
         scene, state = step(scenes[-1], state)
         scenes.append(scene)

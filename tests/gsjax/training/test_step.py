@@ -20,7 +20,7 @@ from gsjax.training.capacity import largest_need
 from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.initialize import DEAD_LOGIT
-from gsjax.training.optimizers import make_optimizer
+from gsjax.training.optimizers import make_optimizer, zero_moments
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
 from gsjax.training.step import BACKGROUNDS, in_photo, make_train_step
 from gsjax.training.terms import TERMS, weigh_terms
@@ -94,7 +94,7 @@ def test_one_compilation_serves_all_views_steps_and_bands_whatever_happens_to_th
     state, _ = run(setup, state, 1)
     how = {"optimizer": OPTIMIZER, "budget": CAPACITY, "rule": DENSIFICATION_RULES["adc"]}
     for change in (
-        partial(reset_opacities, optimizer=OPTIMIZER, limit=0.01),
+        partial(reset_opacities, limit=0.01),
         partial(cull, optimizer=OPTIMIZER, min_opacity=0.001),
         lambda state: densify(state, KEY, jnp.float32(2.0), jnp.asarray(False), density=Density(), **how),
     ):
@@ -192,7 +192,7 @@ def test_densification_moves_moments_with_their_gaussians(setup, monkeypatch):
 def test_a_reset_forgets_the_moments_of_opacities_only(setup):
     state, _ = run(setup, start(), 3)
     before = jax.tree.map(np.array, state)
-    after = reset_opacities(state, optimizer=OPTIMIZER, limit=0.01)
+    after = reset_opacities(state, limit=0.01)
     assert_close(opacities(after.gaussians), np.minimum(opacities(before.gaussians), np.float32(0.01)))
     assert int(count_alive(after.gaussians)) == ALIVE
     for field, old, new in moments_of_both(before, after):
@@ -200,6 +200,8 @@ def test_a_reset_forgets_the_moments_of_opacities_only(setup):
         np.testing.assert_array_equal(new, np.zeros_like(old) if field == "logit_opacities" else old)
     integers = [[int(x) for x in jax.tree.leaves(s.opt_state) if x.dtype == np.int32] for s in (before, after)]
     assert integers[0] == integers[1] and set(integers[0]) == {3}
+    with pytest.raises(ValueError, match="field 'colors' is none of log_scales, logit_opacities, means, quats, sh_dc,"):
+        zero_moments(state, "colors")
 
 
 def test_a_cull_kills_the_faint_and_leaves_the_others(setup):

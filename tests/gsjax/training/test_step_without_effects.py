@@ -61,7 +61,7 @@ def simple_train_step(optimizer, terms, *, capacity, background, sh_every, rule,
             statistics = rule.accumulate(statistics, gradients[1], is_visible, distances, target.size)
         finite = rasterizer.all_finite((total, gradients))
         skipped = pairs.overflowed | ~finite
-        moved = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0], skipped)
+        moved = optimizers.apply_gradients(state.gaussians, state.opt_state, optimizer, gradients[0], skipped)
         others = optimizers.unless(skipped, (state.statistics, state.step), (statistics, state.step + 1))
         state = TrainState(*moved, *others)
         return state, Metrics(total, psnr, pairs.needed, pairs.overflowed, losses, finite)
