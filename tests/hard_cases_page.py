@@ -1,5 +1,7 @@
 """The errors measured on the hard cases: the page of results that they make, and their summary by family."""
 
+import numpy as np
+
 COMMAND = (
     "python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases experiments/results/hard_cases.md"
 )
@@ -132,18 +134,18 @@ def _kind(case):
 
 
 def summary(rows):
-    """A line for each measured family: its largest errors, their bounds, and whether all are below theirs."""
+    """A line for each measured family: the largest errors of each backend, the bounds, and whether all are below."""
     unknown = {_kind(case) for case in rows} - {kind for kinds in FAMILIES.values() for kind in kinds}
     assert not unknown, f"of no family: {sorted(unknown)}"
     lines = []
     for family, kinds in FAMILIES.items():
-        cells = [cell for case, row in rows.items() if _kind(case) in kinds for cell in row.values()]
-        if not cells:
-            continue
-        worst = [max((errors[i], -bounds[i]) for errors, bounds in cells) for i in (0, 1)]
-        passes = all(error < bound or error == bound == 0 for cell in cells for error, bound in zip(*cell, strict=True))
-        parts = [f"{_pair([error])} | {_pair([-bound])}" for error, bound in worst]
-        lines.append(f"| {family} | {' | '.join(parts)} | {'pass' if passes else 'fail'} |")
+        cells = [(name, *cell) for case, row in rows.items() if _kind(case) in kinds for name, cell in row.items()]
+        worst, bounds = ({n: np.max([c[i] for c in cells if c[0] == n], axis=0) for n, *_ in cells} for i in (1, 2))
+        if cells:
+            pairs = [pair for _, *cell in cells for pair in zip(*cell, strict=True)]
+            passes = all(error < bound or error == bound == 0 for error, bound in pairs)
+            texts = [*(_pair(worst.get(name, ())) for name in BACKENDS), _bounds({n: (*b,) for n, b in bounds.items()})]
+            lines.append(f"| {family} | {' | '.join(texts)} | {'pass' if passes else 'fail'} |")
     return lines
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from breaking.commands import Rows
 
 TITLE = "Training soak"
-COLUMNS = "Scene, preset", "Steps", "Loss not finite", "Parameters not finite", "Refused"
+COLUMNS = "Scene, preset", "Steps", "Loss or gradient not finite", "Parameters not finite", "Refused"
 VIEWS, SIDE, SHARE = 10, 64, 0.1  # photos, their pixels, and how much of a preset's steps is taken
 SETTINGS = {
     "model": {"max_gaussians": 2_000, "far_points": 100},
@@ -34,7 +34,7 @@ def rows(folder: Path) -> Rows:
 
 
 def _soak(folder: Path, name: str, preset: str) -> list[str]:
-    """Steps, how many left a loss or a parameter that is not finite, and why there were none."""
+    """Steps, how many had a loss, a gradient or a parameter that is not finite, and why there were none."""
     import jax
     import numpy as np
 
@@ -52,7 +52,7 @@ def _soak(folder: Path, name: str, preset: str) -> list[str]:
     losses, parameters, refusal = [], [], ""
 
     def observe(progress: Any) -> None:
-        losses.append(bool(np.isfinite(progress.metrics.loss)))
+        losses.append(bool(progress.metrics.finite) and bool(np.isfinite(progress.metrics.loss)))
         parameters.append(all(bool(np.isfinite(each).all()) for each in jax.tree.leaves(progress.state.gaussians)))
 
     try:
