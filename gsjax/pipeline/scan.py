@@ -68,10 +68,10 @@ def scan(
             `mesh.glb` (texture), `overview.png`, `report.json`, `report.html`.
         settings: Of the training, as `gsjax.pipeline.train` takes them.
         refinement: Of the mesh, as `gsjax.pipeline.refine` takes it.
-        terms: Handed to `gsjax.pipeline.train`, as `densification` and `effects` are. To resume they are needed again.
+        terms: Passed to `gsjax.pipeline.train`, as `densification` and `effects` are. To resume they are needed again.
         densification: The same.
         effects: The same.
-        method: Handed to `gsjax.pipeline.mesh`.
+        method: Passed to `gsjax.pipeline.mesh`.
         progress: Receives the name of every stage as it begins.
         **reconstruction: Options of `gsjax.io.sfm.reconstruct`, for photos or a video.
 
@@ -184,7 +184,7 @@ def _stages(
     settings: Settings,
     refinement: Refinement,
     reconstruction: Reconstruction,
-    pieces: dict[str, Any],  # that `train` is handed
+    pieces: dict[str, Any],  # for `train`
     method: str | Method,  # of the mesh
 ) -> list[Stage]:
     scene = source if is_data_set(source) else out / "scene"
