@@ -13,7 +13,7 @@ import numpy as np
 from gsjax.errors import InputError
 
 MARGIN = 0.15  # of a cell's side, as far as cameras are there: cameras so far beyond the border belong to it too
-SEEN = 0.3  # of what a photo sees: with so much in a cell, it is trained there, wherever its camera is
+SEEN = 0.3  # share of what a photo sees: a cell with at least so much is trained with the photo, wherever its camera is
 FEWEST = 4  # photos that are trained on in a block
 
 

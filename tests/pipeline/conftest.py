@@ -9,6 +9,7 @@ from trained_run import FEW_POINTS, MASK, SETTINGS
 
 from gsjax import config, pipeline, runs
 from gsjax.io.images import write_image
+from gsjax.training import loop
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -37,6 +38,7 @@ def run(scene, tmp_path_factory) -> Path:
         assert newest is None or newest[0] < progress.step, "told before the checkpoint is written"
         steps.append(progress.step)
 
+    loop._shared_train_step.cache_clear()  # the run compiles, whatever tests came before
     summary = pipeline.train(scene, folder, SETTINGS, observe=observe)
     assert steps == list(range(1, 31))
     assert summary["steps"] == 30
