@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.io.colmap_model import Model, PosedImage, read_model
+from gsjax.io.colmap_files import PosedImage
+from gsjax.io.colmap_model import Model, read_model
 from gsjax.io.image_folders import found_files
 from gsjax.io.lenses import camera_points
 from gsjax.io.messages import print_once

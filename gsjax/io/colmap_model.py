@@ -12,30 +12,20 @@ from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gsjax.errors import InputError
-from gsjax.io import colmap_binary, colmap_text
 from gsjax.io.bad_items import leave_out, leave_out_rows, read_usable
-from gsjax.io.colmap_records import ImageRecord
+from gsjax.io.colmap_files import PosedImage, count_images, read_cameras, read_images
+from gsjax.io.colmap_files import read_points as read_colmap_points
 from gsjax.io.lenses import Lens, check_lens
 from gsjax.io.messages import print_once
 from gsjax.io.ply import read_points
 from gsjax.scene.similarity import is_float32
 
 PLACES = ("sparse/*", "sparse", "colmap/sparse/*", ".")  # Where models are looked for.
-_READERS = {".bin": colmap_binary, ".txt": colmap_text}
+_SUFFIXES = ".bin", ".txt"
 _SHORTEST_QUAT = 1e-6
 
-
-@dataclass(frozen=True)
-class PosedImage:
-    """A photo of the model."""
-
-    name: str
-    camera: int  # its id
-    viewmat: np.ndarray  # [4, 4] float64 rigid, world to camera
-    keypoints: np.ndarray  # [K] of `gsjax.io.colmap_records.KEYPOINT`
 
 
 @dataclass(frozen=True)
@@ -74,18 +64,18 @@ def read_model(folder: Path) -> Model:
             or points can be used.
     """
     suffix = _suffix(folder) or ".bin"
-    reader = _READERS[suffix]
+
     files = {part: folder / f"{part}{suffix}" for part in ("cameras", "images", "points3D")}
     for part in ("cameras", "images"):
         if not files[part].is_file():
             raise InputError(f"{files[part]}: missing from the COLMAP model")
-    cameras = reader.read_cameras(files["cameras"])
+    cameras = read_cameras(files["cameras"])
     if not cameras:
         raise InputError(f"{files['cameras']}: no camera in it")
-    images = sorted(reader.read_images(files["images"]), key=lambda image: image.name)
+    images = sorted(read_images(files["images"]), key=lambda image: image.name)
     posed = _posed_images(images, cameras, files)
     if files["points3D"].is_file():
-        return Model(cameras, posed, *_cloud(files["points3D"], reader.read_points(files["points3D"])))
+        return Model(cameras, posed, *_cloud(files["points3D"]))
     if (folder / "points3D.ply").is_file():
         points, colors = read_points(folder / "points3D.ply")
         return Model(cameras, posed, np.arange(len(points)), points.astype(np.float64), colors)
@@ -104,7 +94,7 @@ def _suffix(folder: Path) -> str | None:
 
     Of two forms that do not list as many photos, the larger is taken, and a line says so.
     """
-    having = [suffix for suffix in _READERS if (folder / f"cameras{suffix}").is_file()]
+    having = [suffix for suffix in _SUFFIXES if (folder / f"cameras{suffix}").is_file()]
     whole = [suffix for suffix in having if (folder / f"images{suffix}").is_file()]
     if len(whole) < 2:
         return next(iter(whole or having), None)
@@ -136,12 +126,14 @@ def _count_images(model: Path, suffix: str) -> int:
 @lru_cache(maxsize=64)  # Text is read whole for it.
 def _counted(file: Path, modified_ns: int) -> int:
     """The images in a file as it was written at a time, in nanoseconds."""
-    return _READERS[file.suffix].count_images(file)
+    return count_images(file)
 
 
 def _posed_images(
-    images: Sequence[ImageRecord], cameras: dict[int, Lens], files: dict[str, Path]
+    images: Sequence[PosedImage], cameras: dict[int, Lens], files: dict[str, Path]
 ) -> tuple[PosedImage, ...]:
+    """The images of usable cameras and poses."""
+
     @cache
     def lens_fault(camera: int) -> str | None:
         try:
@@ -149,33 +141,26 @@ def _posed_images(
         except InputError as error:
             return str(error)
 
-    def posed(image: ImageRecord) -> PosedImage:
+    def usable(image: PosedImage) -> PosedImage:
         if image.camera not in cameras:
             missing = f"{image.name} is of camera {image.camera}, which the model does not have"
             raise InputError(f"{files['images']}: {missing}")
         if fault := lens_fault(image.camera):
             raise InputError(fault)
-        return _posed(image, files["images"])
+        if not is_float32(np.array(image.pose)).all():
+            raise InputError(f"{files['images']}: the pose of {image.name} is not finite")
+        if np.linalg.norm(image.pose[:4]) < _SHORTEST_QUAT:
+            raise InputError(f"{files['images']}: the quaternion of {image.name} is zero, which is no rotation")
+        return image
 
-    usable, faults = read_usable(images, lambda image: image.name, posed)
+    posed, faults = read_usable(images, lambda image: image.name, usable)
     leave_out("photos", faults, len(images))
-    return tuple(usable)
+    return tuple(posed)
 
 
-def _posed(image: ImageRecord, file: Path) -> PosedImage:
-    pose = np.array(image.pose)
-    if not is_float32(pose).all():
-        raise InputError(f"{file}: the pose of {image.name} is not finite")
-    if np.linalg.norm(pose[:4]) < _SHORTEST_QUAT:
-        raise InputError(f"{file}: the quaternion of {image.name} is zero, which is no rotation")
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = Rotation.from_quat(pose[:4], scalar_first=True).as_matrix()
-    viewmat[:3, 3] = pose[4:]
-    return PosedImage(image.name, image.camera, viewmat, image.keypoints)
-
-
-def _cloud(file: Path, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _cloud(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Ids, places and colours of the finite points; colours of fractions are shares of 255."""
+    points = read_colmap_points(file)
     finite = is_float32(points["xyz"]).all(axis=1)
     leave_out_rows(file, "points", finite)
     points = points[finite]

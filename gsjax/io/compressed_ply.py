@@ -65,11 +65,15 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians, place: Place = 
     rotations = largest.astype(np.uint32) << 30 | _pack(three * np.sqrt(0.5) + 0.5, _OF_ROTATIONS)
     colors_opacities = packed[2] << 8 | packing.opacity_bytes(logits)
     harmonics = np.clip(np.floor((rest.astype(np.float64) / (2 * _MOST_REST) + 0.5) * 256), 0, 255).astype(np.uint8)
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.write("\n".join(_header(len(harmonics), harmonics.shape[1], comments)).encode())
-        file.write(np.concatenate(bounds, axis=1).astype("<f4").tobytes())
-        file.write(np.stack([packed[0], rotations, packed[1], colors_opacities], axis=1).astype("<u4").tobytes())
-        file.write(harmonics.tobytes())
+    columns = np.stack([packed[0], rotations, packed[1], colors_opacities], axis=1)
+    elements = {
+        "chunk": ply_elements.table(_names(_MEANS, _SCALES, _COLORS), np.concatenate(bounds, axis=1), "<f4"),
+        "vertex": ply_elements.table(_PACKED, columns, "<u4"),
+    }
+    if harmonics.shape[1]:
+        elements["sh"] = ply_elements.table([f"f_rest_{i}" for i in range(harmonics.shape[1])], harmonics, "u1")
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(ply_elements.encode_elements(elements, comments))
     limited = (log_scales, _MOST_LOG_SCALE), (rest, _MOST_REST), (colors, _MOST_COLOR)
     beyond = [(np.abs(values) > most).any(axis=1) for values, most in limited]
     return int(np.any([far, *beyond], axis=0).sum())
@@ -84,9 +88,9 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     elements, header = ply_elements.read_elements(path)
     chunks, vertices = (elements.get(name, np.empty(0, [])) for name in ("chunk", "vertex"))
     chunk_columns, columns = chunks.dtype.names or (), vertices.dtype.names or ()
-    bounds = {name for names in (_MEANS, _SCALES) for end in _bounds(names) for name in end}
+
     is_packed = all(name in columns and vertices.dtype[name].str[1:] == "u4" for name in _PACKED)
-    if not (is_packed and bounds <= set(chunk_columns)):
+    if not (is_packed and set(_names(_MEANS, _SCALES)) <= set(chunk_columns)):
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
     report_unread(path, [name for name in columns if name not in _PACKED])
     if not np.isfinite(ply_elements.stack_columns(chunks, list(chunk_columns))).all():
@@ -99,14 +103,14 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
         )
 
     def unpacked(codes: np.ndarray, names: tuple[str, ...], bits: tuple[int, ...]) -> np.ndarray:
-        low, high = (ply_elements.stack_columns(chunks, end).astype(np.float64) for end in _bounds(names))
+        low, high = np.split(ply_elements.stack_columns(chunks, _names(names)).astype(np.float64), 2, axis=1)
         units, chunk = _unpack(codes, bits), np.arange(count) // _CHUNK
         return low[chunk] * (1 - units) + high[chunk] * units
 
     largest, three = vertices["packed_rotation"] >> 30, _unpack(vertices["packed_rotation"], _OF_ROTATIONS)
     colors = vertices["packed_color"] >> 8
-    with_bounds = {name for end in _bounds(_COLORS) for name in end} <= set(chunk_columns)
-    colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
+    is_bounded = set(_names(_COLORS)) <= set(chunk_columns)
+    colors = unpacked(colors, _COLORS, _OF_COLORS) if is_bounded else _unpack(colors, _OF_COLORS)
     rest = ply_elements.stack_columns(harmonics, ply_elements.rest_names(path, harmonics.dtype.names or ()))
     rest = (np.where((rest > 0) & (rest < 255), (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST
     return packing.packed_gaussians(
@@ -121,25 +125,9 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     )
 
 
-def _header(count: int, width: int, comments: list[str]) -> list[str]:
-    bounds = [name for names in (_MEANS, _SCALES, _COLORS) for end in _bounds(names) for name in end]
-    return [
-        "ply",
-        "format binary_little_endian 1.0",
-        *comments,
-        f"element chunk {-(-count // _CHUNK)}",
-        *(f"property float {name}" for name in bounds),
-        f"element vertex {count}",
-        *(f"property uint {name}" for name in _PACKED),
-        *([f"element sh {count}"] if width else []),
-        *(f"property uchar f_rest_{i}" for i in range(width)),
-        "end_header",
-        "",
-    ]
-
-
-def _bounds(names: tuple[str, ...]) -> tuple[list[str], list[str]]:
-    return [f"min_{name}" for name in names], [f"max_{name}" for name in names]
+def _names(*groups: tuple[str, ...]) -> list[str]:
+    """The columns of the bounds of values, least and then most, group by group."""
+    return [f"{end}_{name}" for names in groups for end in ("min", "max") for name in names]
 
 
 def _drawn_into_chunks(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

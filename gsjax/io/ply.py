@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.recfunctions import unstructured_to_structured
 from scipy.spatial import KDTree
 
 from gsjax.errors import InputError
@@ -14,6 +15,7 @@ from gsjax.io.foreign_columns import filter_column, fuse_filter
 from gsjax.io.georeference_files import place_comments
 from gsjax.io.messages import print_once
 from gsjax.io.ply_elements import (
+    encode_elements,
     filter_comments,
     from_rest_columns,
     read_elements,
@@ -50,8 +52,8 @@ def write_gaussians(
     nearest of the `cameras` (`[C, 3]` centres) or, without cameras, away from the median of the means.
     """
     rest = rest_columns(gaussians.sh_rest)
-    count, width = rest.shape
-    fields = [*_MEANS, "nx", "ny", "nz", *_DC, *[f"f_rest_{i}" for i in range(width)], "opacity", *_SCALES, *_QUATS]
+    rest_fields = [f"f_rest_{i}" for i in range(rest.shape[1])]
+    fields = [*_MEANS, "nx", "ny", "nz", *_DC, *rest_fields, "opacity", *_SCALES, *_QUATS]
     means = np.asarray(gaussians.means)
     columns = [
         _oriented_axes(gaussians, cameras),
@@ -61,16 +63,12 @@ def write_gaussians(
         gaussians.log_scales,
         gaussians.quats,
     ]
-    types = dict.fromkeys(_MEANS, "double") if loses_in_float32(means) else {}
-    table = np.empty(count, [("means", "<f8" if types else "<f4", 3), ("rest", "<f4", len(fields) - 3)])
-    table["means"], table["rest"] = means, np.concatenate([np.asarray(c, "<f4") for c in columns], axis=1)
-    header = ["ply", "format binary_little_endian 1.0", *filter_comments(gaussians.pixel_filter)]
-    header += place_comments(place)
-    header += [f"element vertex {count}"] + [f"property {types.get(name, 'float')} {name}" for name in fields]
-    header += ["end_header", ""]
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.write("\n".join(header).encode())
-        file.write(table.tobytes())
+    kinds = dict.fromkeys(_MEANS, "<f8") if loses_in_float32(means) else {}
+    rows = np.concatenate([means, *(np.asarray(each, np.float32) for each in columns)], axis=1)
+    vertices = unstructured_to_structured(rows, np.dtype([(name, kinds.get(name, "<f4")) for name in fields]))
+    comments = filter_comments(gaussians.pixel_filter) + place_comments(place)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(encode_elements({"vertex": vertices}, comments))
 
 
 def _oriented_axes(gaussians: Gaussians, cameras: np.ndarray | None) -> np.ndarray:
@@ -232,20 +230,11 @@ def _read_vertices(path: Path) -> tuple[np.ndarray, str]:
 
 def encode_mesh(mesh: Mesh, place: Place = UNPLACED) -> bytes:
     """Coloured triangles as a binary PLY, positions double where float would lose them; a comment states the place."""
-    kind, stored = ("double", "<f8") if loses_in_float32(mesh.vertices) else ("float", "<f4")
-    vertices = np.empty(mesh.num_vertices, [("position", stored, 3), ("color", "u1", 3)])
-    vertices["position"], vertices["color"] = mesh.vertices, mesh.colors
-    faces = np.empty(mesh.num_faces, [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, mesh.faces
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *place_comments(place),
-        f"element vertex {len(vertices)}",
-        *(f"property {kind} {axis}" for axis in "xyz"),
-        *(f"property uchar {channel}" for channel in ("red", "green", "blue")),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header\n",
-    ]
-    return "\n".join(header).encode() + vertices.tobytes() + faces.tobytes()
+    position = "<f8" if loses_in_float32(mesh.vertices) else "<f4"
+    kinds = [*((name, position) for name in _MEANS), *((name, "u1") for name in _RGB)]
+    columns = np.concatenate([mesh.vertices, mesh.colors.astype(mesh.vertices.dtype)], axis=1)
+    faces = np.empty(mesh.num_faces, [("vertex_indices", [("count", "u1"), ("corners", "<i4", 3)])])
+    faces["vertex_indices"]["count"], faces["vertex_indices"]["corners"] = 3, mesh.faces
+    return encode_elements(
+        {"vertex": unstructured_to_structured(columns, np.dtype(kinds)), "face": faces}, place_comments(place)
+    )

@@ -1,9 +1,11 @@
 """PLY files as tables of numbers, and the words that PLY files of Gaussians share."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.recfunctions import unstructured_to_structured
 
 from gsjax.errors import InputError
 from gsjax.gaussians import PixelFilter
@@ -16,6 +18,7 @@ _TYPES = {
 }  # fmt: skip
 # As Brush and splat-transform tell it, and as Postshot does.
 _FILTER_COMMENT = re.compile(r"^comment\s+(?:SplatRenderMode:\s*(\w+)|antialiased\s+(\d))\s*$", re.I | re.M)
+_NAMES = {kind: name for name, kind in reversed(_TYPES.items()) if not name.endswith(tuple("12468"))}
 _REST_COUNTS = [3 * ((degree + 1) ** 2 - 1) for degree in range(5)]
 
 
@@ -42,6 +45,26 @@ def read_elements(path: Path) -> tuple[dict[str, np.ndarray], str]:
             continue
         rows[name], start = read(path, name, data, start, count, np.dtype(fields).newbyteorder(order))
     return rows, header
+
+
+def encode_elements(elements: dict[str, np.ndarray], comments: Sequence[str] = ()) -> bytes:
+    """A binary little-endian PLY of structured arrays by the elements' names; a column of records is one of lists.
+
+    Such a record holds the length of its list, and the items.
+    """
+    lines = ["ply", "format binary_little_endian 1.0", *comments]
+    for name, rows in elements.items():
+        lines.append(f"element {name} {len(rows)}")
+        for column in rows.dtype.names or ():
+            parts = [kind for kind, *_ in (rows.dtype[column].fields or {"": (rows.dtype[column],)}).values()]
+            kinds = ["list"] * (len(parts) > 1) + [_NAMES[kind.base.str[1:]] for kind in parts]
+            lines.append(f"property {' '.join(kinds)} {column}")
+    return b"".join(["\n".join([*lines, "end_header\n"]).encode(), *(rows.tobytes() for rows in elements.values())])
+
+
+def table(names: Sequence[str], columns: np.ndarray, kind: str) -> np.ndarray:
+    """The structured array of columns `[N, K]` of one type."""
+    return unstructured_to_structured(columns.astype(kind), np.dtype([(name, kind) for name in names]))
 
 
 def rest_columns(sh_rest: np.ndarray) -> np.ndarray:
