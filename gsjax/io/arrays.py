@@ -40,8 +40,9 @@ def headers(file: Path, *keys: str) -> dict[str, Header]:
             return {"": _header(handle)}
         with zipfile.ZipFile(handle) as archive:
             present = [name.removesuffix(".npy") for name in archive.namelist()]
-            _check_known(file, keys, present)
-            return {key: _header_in(archive, key) for key in keys or present}
+            if missing := [key for key in keys if key not in present]:
+                raise InputError(f"{file}: lacks {', '.join(missing)}; it holds {', '.join(present)}")
+            return {key: _header(archive.open(f"{key}.npy")) for key in keys or present}
 
 
 def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:
@@ -54,7 +55,6 @@ def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:
         if file.suffix == ".npy":
             return {"": np.load(handle)}
         with np.load(handle) as archive:
-            _check_known(file, keys, list(archive))
             return {key: archive[key] for key in keys or archive}
 
 
@@ -70,19 +70,8 @@ def _opened(file: Path) -> Iterator[IO[bytes]]:
         raise InputError(f"{file}: cannot be read ({reason})") from error
 
 
-def _header_in(archive: zipfile.ZipFile, key: str) -> Header:
-    with archive.open(f"{key}.npy") as handle:
-        return _header(handle)
-
-
 def _header(handle: IO[bytes]) -> Header:
     version = np.lib.format.read_magic(handle)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, dtype = read(handle)
     return Header(shape, dtype)
-
-
-def _check_known(file: Path, keys: tuple[str, ...], names: list[str]) -> None:
-    missing = [key for key in keys if key not in names]
-    if missing:
-        raise InputError(f"{file}: lacks {', '.join(missing)}; it holds {', '.join(names)}")

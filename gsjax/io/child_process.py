@@ -10,7 +10,8 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from types import SimpleNamespace
 from typing import Any, BinaryIO
 
 from tqdm import tqdm
@@ -103,25 +104,6 @@ def _cause(code: int, log: BinaryIO) -> str:
     return f"the process {how}{last}{memory}"
 
 
-class _Bar:
-    """The child's end of a progress bar."""
-
-    def __init__(self, tell: Callable[[str, Any], None]):
-        self._tell = tell
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-    def update(self, n: int = 1) -> None:
-        self._tell("update", n)
-
-    def reset(self) -> None:
-        self._tell("reset", None)
-
-
 def _serve() -> None:
     """The child: reads a function and its arguments, runs it, and sends its progress to what was standard output."""
     channel = os.fdopen(os.dup(1), "wb")
@@ -134,9 +116,9 @@ def _serve() -> None:
             pickle.dump((what, value), channel)
             channel.flush()
 
-    def progress(**settings: Any) -> _Bar:
+    def progress(**settings: Any) -> AbstractContextManager:
         tell("open", settings)
-        return _Bar(tell)
+        return nullcontext(SimpleNamespace(update=lambda n=1: tell("update", n), reset=lambda: tell("reset", None)))
 
     try:
         function, arguments = pickle.load(sys.stdin.buffer)

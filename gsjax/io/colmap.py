@@ -1,8 +1,6 @@
 """A COLMAP data set: its posed photos, points, and observations."""
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -78,14 +76,3 @@ def _image_places(root: Path, model: Path) -> list[Path]:
     """Where photos may be, the usual place first."""
     above = Path(os.path.abspath(model)).parents[:2]
     return [root / "images", *(folder / "images" for folder in (model, *above)), root]
-
-
-@contextmanager
-def quiet(pycolmap) -> Iterator[None]:
-    """Keeps pycolmap's own log off the terminal; what matters of it comes as an exception."""
-    level = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = 4
-    try:
-        yield
-    finally:
-        pycolmap.logging.minloglevel = level

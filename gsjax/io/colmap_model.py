@@ -27,7 +27,6 @@ _SUFFIXES = ".bin", ".txt"
 _SHORTEST_QUAT = 1e-6
 
 
-
 @dataclass(frozen=True)
 class Model:
     """What a COLMAP model says."""

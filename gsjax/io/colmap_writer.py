@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.colmap import quiet
 from gsjax.io.colmap_model import read_model
 from gsjax.io.files import flush, make_folder
 from gsjax.io.packages import require
@@ -63,16 +62,18 @@ def pinhole_camera(number: int, view: "Frame | Camera") -> "pycolmap.Camera":
 
 def write_whole(model: "pycolmap.Reconstruction", folder: Path) -> None:
     """Writes a model in binary and reads it again: pycolmap 4.2 does not report a full disk, which is an InputError."""
-    pycolmap = require("pycolmap")
+    log = require("pycolmap").logging
+    level, log.minloglevel = log.minloglevel, 4  # What matters of its log comes as an exception.
     make_folder(folder)
     try:
-        with quiet(pycolmap):
-            model.write_binary(folder)
+        model.write_binary(folder)
         for file in folder.glob("*.bin"):
             flush(file)
         stored_model = read_model(folder)
     except (OSError, ValueError, RuntimeError) as error:  # InputError is a ValueError: what was written is cut.
         raise _unwritten(folder) from error
+    finally:
+        log.minloglevel = level
     if (len(stored_model.images), len(stored_model.points)) != (model.num_reg_images(), model.num_points3D()):
         raise _unwritten(folder)
 

@@ -31,7 +31,7 @@ def group_duplicates(files: Sequence[Path]) -> list[list[int]]:
 
     A file that cannot be read, or shows one colour, is a group of its own.
     """
-    pictures = list(parallel_map(_small_picture, files))
+    pictures = list(parallel_map(lambda file: _small_picture(file, stamp(file)), files))
     groups: list[list[int]] = []
     firsts = np.empty((0, SIDE * SIDE), np.float32)  # of those groups in `leaders`, unit vectors
     contrasts, leaders = np.empty(0, np.float32), list[int]()
@@ -52,22 +52,19 @@ def group_duplicates(files: Sequence[Path]) -> list[list[int]]:
     return groups
 
 
-def _small_picture(file: Path) -> np.ndarray | None:
-    """`[SIDE * SIDE]` float32 grey levels less their mean, upright; None of a file that cannot be read."""
+@cache
+def _small_picture(file: Path, _stamp: tuple[int, int]) -> np.ndarray | None:
+    """`[SIDE * SIDE]` float32 grey levels less their mean, upright; None of a file that cannot be read.
+
+    It is made once for each state of a file: commands load a data set several times.
+    """
     try:
-        return _decoded(file, stamp(file))
+        with open_image(file) as picture:
+            picture.draft("RGB", (_DRAFT, _DRAFT))
+            reduced = _reduced(file, picture) if picture.mode in _REDUCIBLE else Image.fromarray(read_image(file)[0])
+            upright = _upright(reduced.convert("L").resize((SIDE, SIDE), Image.Resampling.LANCZOS), picture)
     except (OSError, ValueError):
         return None
-
-
-@cache
-def _decoded(file: Path, _stamp: tuple[int, int]) -> np.ndarray:
-    """As `_small_picture`, once for each state of a file: commands load a data set several times."""
-    with open_image(file) as picture:
-        picture.draft("RGB", (_DRAFT, _DRAFT))
-        reduced = _reduced(file, picture) if picture.mode in _REDUCIBLE else Image.fromarray(read_image(file)[0])
-        small = reduced.convert("L").resize((SIDE, SIDE), Image.Resampling.LANCZOS)
-        upright = _upright(small, picture)
     levels = np.asarray(upright, np.float32).reshape(-1)
     return levels - levels.mean()
 

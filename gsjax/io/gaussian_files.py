@@ -31,11 +31,6 @@ class Format(NamedTuple):
     write: Callable[[Path, Gaussians, Place], int]
 
 
-def _write_plain(path: Path, gaussians: Gaussians, place: Place) -> int:
-    ply.write_gaussians(path, gaussians, place)
-    return 0
-
-
 def _stated_beside(write: Callable[[Path, Gaussians], int]) -> Callable[[Path, Gaussians, Place], int]:
     """Writing to a format that cannot hold the place, which a second file then states."""
 
@@ -89,7 +84,7 @@ def _beside(path: str | Path) -> Path:
 
 FORMATS = {
     ".compressed.ply": _local(Format(compressed_ply.read_compressed_ply, compressed_ply.write_compressed_ply)),
-    ".ply": Format(ply.read_gaussians, _write_plain),
+    ".ply": Format(ply.read_gaussians, ply.write_gaussians),
     ".sog": _local(Format(sog.read_sog, _stated_beside(sog.write_sog))),
     ".spz": _local(Format(spz.read_spz, _stated_beside(spz.write_spz))),
 }

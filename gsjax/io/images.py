@@ -112,18 +112,13 @@ def decode_rgba(where: str, content: bytes, *, most: int) -> np.ndarray:
     Raises:
         InputError: It is no such image, is damaged, or has more than `most` pixels.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(BytesIO(content), formats=("WEBP", "PNG")) as picture:
-                width, height = picture.size
-                if width * height > most:
-                    raise InputError(f"{where}: {width}x{height} pixels, more than the {most} that it could need")
-                return np.array(in_mode(picture, "RGBA"))
-    except InputError:
-        raise
-    except Exception as error:  # Pillow's decoders raise whatever the broken bytes lead to.
-        raise InputError(f"{where}: not a whole image") from error
+    with warnings.catch_warnings(), decoding(where):
+        warnings.simplefilter("ignore")
+        with Image.open(BytesIO(content), formats=("WEBP", "PNG")) as picture:
+            width, height = picture.size
+            if width * height > most:
+                raise InputError(f"{where}: {width}x{height} pixels, more than the {most} that it could need")
+            return np.array(in_mode(picture, "RGBA"))
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -70,30 +70,24 @@ class PinholeView:
 
 def check_lens(lens: Lens, where: str | Path) -> Lens:
     """The lens itself, once its size and numbers are found usable; else InputError, which begins with `where`."""
-    focals = lens.params[: 1 if lens.model in _WITH_TWO_FOCALS else 2]
+    first = 1 if lens.model in _WITH_TWO_FOCALS else 2
+    focals, center, size = lens.params[:first], lens.params[first : first + 2], (lens.width, lens.height)
+    is_panorama = lens.model == "EQUIRECTANGULAR"
+    offsets = [] if is_panorama else [abs(at / side - 0.5) for at, side in zip(center, size, strict=True) if side]
     if not (0 < lens.width < _LARGEST_SIDE and 0 < lens.height < _LARGEST_SIDE):
         fault = "a size that no photo has"
     elif not is_float32(np.array(lens.params)).all():
         fault = "a parameter that is not finite"
     elif min(focals) <= 0:
         fault = "a focal length that is not positive"
-    elif lens.model != "EQUIRECTANGULAR" and min(focals) < _SHORTEST_FOCAL * max(lens.width, lens.height):
+    elif not is_panorama and min(focals) < _SHORTEST_FOCAL * max(size):
         fault = "a focal length that is too short for its size; both are counted in pixels"
-    elif not _sees_middle(lens):
+    elif max(offsets, default=0) >= _FARTHEST_MIDDLE:  # So far off, no crop of a larger photo has it.
         fault = f"a principal point that is {_FARTHEST_MIDDLE} times its size away"
     else:
         return lens
     numbers = ", ".join(f"{value:.6g}" for value in lens.params)
     raise InputError(f"{where} ({lens.model} {lens.width}x{lens.height} with {numbers}) has {fault}")
-
-
-def _sees_middle(lens: Lens) -> bool:
-    """Whether the principal point is in the photo, or not so far off as no crop of a larger one has it."""
-    if lens.model == "EQUIRECTANGULAR":
-        return True
-    first = 1 if lens.model in _WITH_TWO_FOCALS else 2
-    (x, y), (width, height) = lens.params[first : first + 2], (lens.width, lens.height)
-    return max(abs(x / width - 0.5), abs(y / height - 0.5)) < _FARTHEST_MIDDLE
 
 
 def resize_lens(lens: Lens, width: int, height: int) -> Lens:

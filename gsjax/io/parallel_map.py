@@ -1,15 +1,20 @@
-"""An ordered parallel map over photos."""
+"""An ordered parallel map over photos or pairs of them, with or without a progress bar."""
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
+
+from tqdm import tqdm
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 MOST_THREADS = 4  # Each holds a photo and what was made of it.
+
+Progress = Callable[..., tqdm]
+"""Makes a progress bar, called with tqdm's `total`, `desc` and `unit`."""
 
 
 def parallel_map(made_of: Callable[[T], R], things: Iterable[T], most_threads: int = MOST_THREADS) -> Iterator[R]:
@@ -27,3 +32,20 @@ def parallel_map(made_of: Callable[[T], R], things: Iterable[T], most_threads: i
                 yield futures.popleft().result()
         while futures:
             yield futures.popleft().result()
+
+
+def thread_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def map_with_bar(
+    function: Callable[[T], R], items: Sequence[T], progress: Progress, desc: str, unit: str, most: int | None = None
+) -> list[R]:
+    """Results in the order of the items, by `most` threads or as many as there are cores."""
+    results = []
+    with progress(total=len(items), desc=desc, unit=unit) as bar:
+        for result in parallel_map(function, items, min(most or thread_count(), thread_count())):
+            results.append(result)
+            bar.update(1)
+    return results

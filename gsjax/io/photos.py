@@ -55,17 +55,17 @@ class Capture:
 
 def readable_photos(photos: Sequence[Photo]) -> list[Photo]:
     """The photos whose files, and whose masks, are whole (`gsjax.io.bad_items`). All are decoded, once in a process."""
-    checked = parallel_map(_file_fault, photos)
-    reasons = list(tqdm(checked, total=len(photos), desc="checking", unit="photo", leave=False, delay=2))
-    faults = [Fault(photo.name, reason) for photo, reason in zip(photos, reasons, strict=True) if reason]
-    leave_out("photos", faults, len(photos))
-    return [photo for photo, reason in zip(photos, reasons, strict=True) if not reason]
+    checked = parallel_map(_fault, photos)
+    faults = list(tqdm(checked, total=len(photos), desc="checking", unit="photo", leave=False, delay=2))
+    leave_out("photos", [fault for fault in faults if fault], len(photos))
+    return [photo for photo, fault in zip(photos, faults, strict=True) if not fault]
 
 
-def _file_fault(photo: Photo) -> str | None:
+def _fault(photo: Photo) -> Fault | None:
     """Why a photo or its mask cannot be decoded; None where both can."""
-    files = [path for path in (photo.path, photo.mask_path) if path is not None]
-    return next((fault for path in files if (fault := _decoding_fault(path, stamp(path)))), None)
+    for path in (photo.path, photo.mask_path):
+        if path is not None and (reason := _decoding_fault(path, stamp(path))):
+            return Fault(photo.name, reason)
 
 
 @lru_cache(maxsize=2**16)
@@ -92,7 +92,9 @@ def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
     """
     photo = replace(photo, lens=_lens_of_file(photo))
     if photo.mask_path is not None:
-        _check_mask_size(photo.mask_path, photo.lens)
+        (width, height), lens = image_size(photo.mask_path), photo.lens
+        if not same_shape((width, height), (lens.width, lens.height)):
+            raise InputError(f"{photo.mask_path}: mask is {width}x{height} but its image {lens.width}x{lens.height}")
     try:
         views = pinhole_views(photo.lens)
     except InputError as error:
@@ -192,12 +194,6 @@ def valid_of(view: PinholeView, mask: np.ndarray | None, width: int, height: int
     if view.valid is not None:
         usable = np.minimum(usable, view.valid.astype(np.float32))
     return np.where(resize(usable, width, height) > 254.5, np.uint8(255), np.uint8(0))
-
-
-def _check_mask_size(path: Path, lens: Lens) -> None:
-    width, height = image_size(path)
-    if not same_shape((width, height), (lens.width, lens.height)):
-        raise InputError(f"{path}: mask is {width}x{height} but its image {lens.width}x{lens.height}")
 
 
 def _mask_of_size(path: Path, width: int, height: int) -> np.ndarray:

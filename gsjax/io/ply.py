@@ -43,13 +43,16 @@ _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential i
 
 def write_gaussians(
     path: str | Path, gaussians: Gaussians, place: Place = UNPLACED, *, cameras: np.ndarray | None = None
-) -> None:
+) -> int:
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
     Means are float, as all viewers expect, but double where float would lose their place (`loses_in_float32`).
     Comments state a pixel filter other than the classic one, as Brush and splat-transform have it, and the place.
     The coefficients `f_rest_*` run channel by channel. Normals are the smallest axes: unit vectors that face the
     nearest of the `cameras` (`[C, 3]` centres) or, without cameras, away from the median of the means.
+
+    Returns:
+        0: no Gaussian is clipped.
     """
     rest = rest_columns(gaussians.sh_rest)
     rest_fields = [f"f_rest_{i}" for i in range(rest.shape[1])]
@@ -69,6 +72,7 @@ def write_gaussians(
     comments = filter_comments(gaussians.pixel_filter) + place_comments(place)
     with atomic_path(path) as temporary:
         temporary.write_bytes(encode_elements({"vertex": vertices}, comments))
+    return 0
 
 
 def _oriented_axes(gaussians: Gaussians, cameras: np.ndarray | None) -> np.ndarray:

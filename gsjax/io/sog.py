@@ -69,60 +69,73 @@ def write_sog(path: str | Path, gaussians: Gaussians) -> int:
         raise InputError(f"cannot write {path}: {count} Gaussians, SOG holds {_LONGEST_SIDE**2}")
     means, far = packing.pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH)
     order = packing.morton_order(means)
-    images: dict[str, np.ndarray] = {}
-
-    def place(name: str, pixels: np.ndarray) -> list[str]:
-        image = np.zeros((height * width, pixels.shape[1]), np.uint8)
-        image[:count] = pixels
-        images[name] = image.reshape(height, width, -1)
-        return [name]
-
-    logs = np.sign(means[order]) * np.log1p(np.abs(means[order]))
-    low, high = logs.min(axis=0, initial=np.inf), logs.max(axis=0, initial=-np.inf)
-    low, high = (low, high) if count else (np.zeros(3), np.zeros(3))
-    fixed = np.rint((logs - low) / np.where(high > low, high - low, 1) * _MOST_POSITION).astype(np.uint16)
+    ends, fixed = _fixed_positions(means[order])
     largest, three = packing.smallest_three(packing.unit_quats(np.asarray(gaussians.quats)[order]))
     rotations = np.rint((three * math.sqrt(0.5) + 0.5) * 255)
-    scales, colors = np.asarray(gaussians.log_scales)[order], np.asarray(gaussians.sh_dc)[order, 0]
-    of_scales, of_colors = codebook(scales), codebook(colors)
-    opacity = packing.opacity_bytes(np.asarray(gaussians.logit_opacities)[order])
+    scales, of_scales = _labelled(np.asarray(gaussians.log_scales)[order])
+    colors, of_colors = _labelled(np.asarray(gaussians.sh_dc)[order, 0])
+    pixels = {
+        "means_l.webp": fixed & 255,
+        "means_u.webp": fixed >> 8,
+        "scales.webp": scales,
+        "quats.webp": np.column_stack([rotations, _FIRST_TAG + largest]),
+        "sh0.webp": np.column_stack([colors, packing.opacity_bytes(np.asarray(gaussians.logit_opacities)[order])]),
+    }
+    images = {name: _laid_out(values, width, height) for name, values in pixels.items()}
     meta = {
         "version": 2,
         "asset": {"generator": "gsjax"},
         "count": count,
         **({"model": "antialiased", "antialias": True} if gaussians.pixel_filter == "mip" else {}),
-        "means": {
-            "mins": low.tolist(),
-            "maxs": high.tolist(),
-            "files": place("means_l.webp", fixed & 255) + place("means_u.webp", fixed >> 8),
-        },
-        "scales": {
-            "codebook": of_scales.tolist(),
-            "files": place("scales.webp", nearest_labels(scales, of_scales)),
-        },
-        "quats": {"files": place("quats.webp", np.column_stack([rotations, _FIRST_TAG + largest]))},
-        "sh0": {
-            "codebook": of_colors.tolist(),
-            "files": place("sh0.webp", np.column_stack([nearest_labels(colors, of_colors), opacity])),
-        },
+        "means": {**ends, "files": ["means_l.webp", "means_u.webp"]},
+        "scales": {"codebook": of_scales, "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": of_colors, "files": ["sh0.webp"]},
     }
     if degree:
-        rest = np.asarray(gaussians.sh_rest, np.float32)[order].reshape(count, 3 * ((degree + 1) ** 2 - 1))
-        rows, labels = palette(rest, min(_LARGEST_PALETTE, max(_LEAST_PALETTE, count // _A_ROW)))
-        of_rest = codebook(rows)
-        images["shN_centroids.webp"] = _lines_of(nearest_labels(rows, of_rest), degree)
-        low_high = np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
-        meta["shN"] = {
-            "count": len(rows),
-            "bands": degree,
-            "codebook": of_rest.tolist(),
-            "files": ["shN_centroids.webp", *place("shN_labels.webp", low_high)],
-        }
+        meta["shN"], images["shN_centroids.webp"], labels = _packed_harmonics(np.asarray(gaussians.sh_rest)[order])
+        images["shN_labels.webp"] = _laid_out(labels, width, height)
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, image in images.items():
             archive.writestr(zipfile.ZipInfo(name), lossless_webp(image))
         archive.writestr(zipfile.ZipInfo("meta.json"), json.dumps(meta, allow_nan=False))
     return int(far.sum())
+
+
+def _laid_out(values: np.ndarray, width: int, height: int) -> np.ndarray:
+    """An image of one pixel a Gaussian, row by row."""
+    image = np.zeros((height * width, values.shape[1]), np.uint8)
+    image[: len(values)] = values
+    return image.reshape(height, width, -1)
+
+
+def _fixed_positions(means: np.ndarray) -> tuple[dict[str, list[float]], np.ndarray]:
+    """The ends of the range of logs along the axes, and `[N, 3]` uint16 between them."""
+    logs = np.sign(means) * np.log1p(np.abs(means))
+    low, high = (logs.min(axis=0), logs.max(axis=0)) if len(means) else (np.zeros(3), np.zeros(3))
+    fixed = np.rint((logs - low) / np.where(high > low, high - low, 1) * _MOST_POSITION).astype(np.uint16)
+    return {"mins": low.tolist(), "maxs": high.tolist()}, fixed
+
+
+def _labelled(values: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """The labels of values in their own codebook, and the codebook."""
+    entries = codebook(values)
+    return nearest_labels(values, entries), entries.tolist()
+
+
+def _packed_harmonics(sh_rest: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """The entry of meta.json for harmonics, the image of their palette, and the pixels of their labels."""
+    count, bands, _ = sh_rest.shape
+    rest = sh_rest.astype(np.float32).reshape(count, 3 * bands)
+    rows, labels = palette(rest, min(_LARGEST_PALETTE, max(_LEAST_PALETTE, count // _A_ROW)))
+    numbers, of_rest = _labelled(rows)
+    # 64 rows of the palette a line, a pixel for red, green and blue of every coefficient.
+    lines = np.zeros((_PER_LINE * max(1, -(-len(rows) // _PER_LINE)), bands, 3), np.uint8)
+    lines[: len(rows)] = numbers.reshape(-1, bands, 3)
+    degree, files = math.isqrt(bands + 1) - 1, ["shN_centroids.webp", "shN_labels.webp"]
+    entry = {"count": len(rows), "bands": degree, "codebook": of_rest, "files": files}
+    low_high = np.column_stack([labels & 255, labels >> 8, np.zeros_like(labels)])
+    return entry, lines.reshape(-1, _PER_LINE * bands, 3), low_high
 
 
 def read_sog(path: str | Path) -> Gaussians:
@@ -157,31 +170,13 @@ def _read(path: Path, archive: zipfile.ZipFile, meta: dict[str, Any]) -> Gaussia
         raise InputError(f"{path}: meta.json: a palette of {rest['count']} harmonics of degree {degree}")
     bands = (degree + 1) ** 2 - 1
     require_memory(f"{path}: {count} Gaussians", _BYTES_PER_NUMBER * count * (14 + 3 * bands))
-
-    def pixels(name: str, least: int = count) -> np.ndarray:
-        """`[P, 4]` uint8 pixels of an image in the archive, of which so many are needed."""
-        most = 4 * least + 2**16  # A WebP without loss is no larger than its pixels by more than a little.
-        image = decode_rgba(f"{path}: {name}", _member(path, archive, name, 2 * most), most=most)
-        if image.shape[0] * image.shape[1] < least:
-            raise InputError(f"{path}: {name}: {image.shape[1]}x{image.shape[0]} pixels for {least}")
-        return image.reshape(-1, 4)
-
-    def of_codebook(part: dict[str, Any], labels: np.ndarray) -> np.ndarray:
-        return np.asarray(part["codebook"], np.float64)[labels]
-
-    lower, upper = (pixels(name)[:count, :3].astype(np.float64) for name in meta["means"]["files"])
-    low, high = (np.asarray(meta["means"][end], np.float64) for end in ("mins", "maxs"))
-    quats, scales, colors = (pixels(meta[part]["files"][0])[:count] for part in ("quats", "scales", "sh0"))
+    lower, upper = (_pixels(path, archive, name, count)[:, :3].astype(np.float64) for name in meta["means"]["files"])
+    quats, scales, colors = (
+        _pixels(path, archive, meta[part]["files"][0], count) for part in ("quats", "scales", "sh0")
+    )
     if (quats[:, 3] < _FIRST_TAG).any():
         raise InputError(f"{path}: quaternions whose largest component is none of four")
-    sh_rest = np.zeros((count, 0, 3))
-    if rest:
-        lines = pixels(rest["files"][0], _PER_LINE * bands * -(-rest["count"] // _PER_LINE))
-        rows = of_codebook(rest, lines[:, :3])[: rest["count"] * bands].reshape(-1, bands, 3)
-        labels = pixels(rest["files"][1])[:count, :2].astype(np.int64) @ [1, 256]
-        if (labels >= len(rows)).any():
-            raise InputError(f"{path}: labels of harmonics beyond the {len(rows)} that there are")
-        sh_rest = rows[labels]
+    low, high = (np.asarray(meta["means"][end], np.float64) for end in ("mins", "maxs"))
     logs = low + (high - low) * ((lower + 256 * upper) / _MOST_POSITION)
     with np.errstate(over="ignore"):
         means = np.sign(logs) * np.expm1(np.abs(logs))
@@ -191,12 +186,35 @@ def _read(path: Path, archive: zipfile.ZipFile, meta: dict[str, Any]) -> Gaussia
         quats=packing.of_smallest_three(
             quats[:, 3].astype(int) - _FIRST_TAG, (quats[:, :3] / 255 - 0.5) / math.sqrt(0.5)
         ),
-        log_scales=of_codebook(meta["scales"], scales[:, :3]),
+        log_scales=_of_codebook(meta["scales"], scales[:, :3]),
         logit_opacities=packing.logits_of_bytes(colors[:, 3]),
-        sh_dc=of_codebook(meta["sh0"], colors[:, None, :3]),
-        sh_rest=sh_rest,
+        sh_dc=_of_codebook(meta["sh0"], colors[:, None, :3]),
+        sh_rest=_harmonics(path, archive, rest, count, bands) if rest else np.zeros((count, 0, 3)),
         pixel_filter="mip" if meta.get("model") == "antialiased" or meta.get("antialias") else "classic",
     )
+
+
+def _harmonics(path: Path, archive: zipfile.ZipFile, rest: dict[str, Any], count: int, bands: int) -> np.ndarray:
+    """`[N, K, 3]` coefficients: rows of the palette."""
+    lines = _pixels(path, archive, rest["files"][0], _PER_LINE * bands * -(-rest["count"] // _PER_LINE))
+    rows = _of_codebook(rest, lines[:, :3])[: rest["count"] * bands].reshape(-1, bands, 3)
+    labels = _pixels(path, archive, rest["files"][1], count)[:, :2].astype(np.int64) @ [1, 256]
+    if (labels >= len(rows)).any():
+        raise InputError(f"{path}: labels of harmonics beyond the {len(rows)} that there are")
+    return rows[labels]
+
+
+def _of_codebook(part: dict[str, Any], labels: np.ndarray) -> np.ndarray:
+    return np.asarray(part["codebook"], np.float64)[labels]
+
+
+def _pixels(path: Path, archive: zipfile.ZipFile, name: str, count: int) -> np.ndarray:
+    """The first so many pixels `[count, 4]` uint8 of an image in the archive."""
+    most = 4 * count + 2**16  # A WebP without loss is no larger than its pixels by more than a little.
+    image = decode_rgba(f"{path}: {name}", _member(path, archive, name, 2 * most), most=most)
+    if image.shape[0] * image.shape[1] < count:
+        raise InputError(f"{path}: {name}: {image.shape[1]}x{image.shape[0]} pixels for {count}")
+    return image.reshape(-1, 4)[:count]
 
 
 def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes:
@@ -208,11 +226,3 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str, most: int) -> bytes
     if len(content) > most:
         raise InputError(f"{path}: {name[:100]!a} is of more than {most} bytes")
     return content
-
-
-def _lines_of(labels: np.ndarray, degree: int) -> np.ndarray:
-    """The image of a palette: 64 rows of it a line, a pixel for red, green and blue of every coefficient."""
-    bands = (degree + 1) ** 2 - 1
-    image = np.zeros((_PER_LINE * max(1, -(-len(labels) // _PER_LINE)), bands, 3), np.uint8)
-    image[: len(labels)] = labels.reshape(-1, bands, 3)
-    return image.reshape(-1, _PER_LINE * bands, 3)

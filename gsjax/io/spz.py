@@ -211,14 +211,12 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Header, list[bytes], byte
     unpacked = []
     for index, size in enumerate(filled):
         packed, promised = struct.unpack_from("<QQ", data, table + 16 * index)
-        if promised != size or len(data) < place + packed:
-            raise InputError(f"{path}: truncated or damaged, array {index + 1} of {len(filled)} is not whole")
         try:
             reader = zstandard.ZstdDecompressor().stream_reader(data[place : place + packed])
             unpacked.append(reader.read(size + 1))  # No more, whatever the array's own header promises.
         except zstandard.ZstdError as error:
             raise InputError(f"{path}: truncated or damaged ({error})") from error
-        if len(unpacked[-1]) != size:
+        if not promised == size == len(unpacked[-1]):
             raise InputError(f"{path}: truncated or damaged, array {index + 1} of {len(filled)} is not whole")
         place += packed
     arrays = iter(unpacked)

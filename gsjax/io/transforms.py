@@ -141,33 +141,28 @@ def _used_frames(file: Path, meta: dict[str, Any]) -> list[tuple[dict[str, Any],
     """
     shared = {key: value for key, value in meta.items() if key not in ("frames", _TEST_FRAMES)}
     tests = meta.get(_TEST_FRAMES) or []
-    own = tests if isinstance(tests, list) and all(isinstance(frame, dict) for frame in tests) else []
-    first_own = len(meta["frames"])
-    listed = list(enumerate([*meta["frames"], *own]))
-    frames, faults = read_usable(listed, lambda each: f"frame {each[0]}", partial(_named, file))
+    are_frames = isinstance(tests, list) and all(isinstance(frame, dict) for frame in tests)
+    own = [{**frame, "split": "test"} for frame in tests] if are_frames else []
+    listed = [*meta["frames"], *own]
+    frames, faults = read_usable(enumerate(listed), lambda each: f"frame {each[0]}", partial(_named, file))
     leave_out("frames", faults, len(listed))
-    numbers = [number for number, _ in frames]
-    frames = [frame for _, frame in frames]
     names = [_normal(frame["file_path"]) for frame in frames]
     trained = _listed(file, meta, _TRAIN, names)
-    scored = set().union(*(_listed(file, meta, key, names) for key in _SCORE))
-    if not own:
-        scored |= _listed(file, meta, _TEST_FRAMES, names)
-    scored |= {
-        name for name, frame in zip(names, frames, strict=True) if str(frame.get("split")).lower() in _SPLITS_OF_SCORES
-    }
+    scored = set().union(*(_listed(file, meta, key, names) for key in (*_SCORE, *([] if own else [_TEST_FRAMES]))))
+    are_scored = [
+        name in scored or str(frame.get("split")).lower() in _SPLITS_OF_SCORES
+        for name, frame in zip(names, frames, strict=True)
+    ]
 
-    def is_held_out(index: int) -> bool | None:
+    def is_held_out(frame: dict[str, Any], name: str, is_scored: bool) -> bool | None:
         """None of a frame that is left out."""
-        if _is_bad(frames[index]):
+        if _is_bad(frame):
             return None
-        if numbers[index] >= first_own or names[index] in scored:
-            return True
-        if trained and names[index] not in trained:
-            return None if scored or own else True
-        return False
+        if trained and name not in trained and not is_scored:
+            return None if any(are_scored) else True
+        return is_scored
 
-    held_out = [is_held_out(index) for index in range(len(frames))]
+    held_out = list(map(is_held_out, frames, names, are_scored))
     if (left_out := held_out.count(None)) == len(frames):
         raise InputError(f"{file}: leaves all of its frames out")
     if left_out:
@@ -176,11 +171,11 @@ def _used_frames(file: Path, meta: dict[str, Any]) -> list[tuple[dict[str, Any],
     return [({**shared, **frame}, use) for frame, use in zip(frames, held_out, strict=True) if use is not None]
 
 
-def _named(file: Path, numbered: tuple[int, Any]) -> tuple[int, dict[str, Any]]:
+def _named(file: Path, numbered: tuple[int, Any]) -> dict[str, Any]:
     number, frame = numbered
     if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
         raise InputError(f'{file}: frame {number} has no "file_path"')
-    return number, frame
+    return frame
 
 
 def _is_bad(frame: dict[str, Any]) -> bool:

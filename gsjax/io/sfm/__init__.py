@@ -7,15 +7,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypedDict, Unpack
+from typing import Final, TypedDict, Unpack
 
 from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.child_process import run_in_child
-from gsjax.io.files import make_folder, put_in_place, require_empty, unwritable, workspace
-from gsjax.io.georeference_files import write_place
+from gsjax.io.files import put_in_place, require_empty, unwritable, workspace
 
 DEFAULT_FRAMES = 100
 REPORT = "sfm.json"
@@ -41,7 +40,7 @@ FILES: Final = ("weights", "matcher_weights")  # options that name one
 
 
 @dataclass(frozen=True)
-class _Options:
+class Options:
     """The options of `reconstruct`, checked."""
 
     frames: int = DEFAULT_FRAMES
@@ -123,7 +122,7 @@ def reconstruct(
     photos, out = Path(photos), Path(out)
     if "frames" in options and photos.is_dir():
         raise InputError(f"{photos}: is a folder of photos, of which all are taken; frames is for a video")
-    checked = _Options(**options)
+    checked = Options(**options)
     require_empty(out)
     with workspace(out) as space:
         report = run_in_child(_build, photos, space, checked, name=str(photos), progress=progress)
@@ -147,69 +146,15 @@ def read_report(scene: str | Path) -> SfmReport:
         raise InputError(f"{file}: is no report of a reconstruction") from error
 
 
-def _build(source: Path, workspace: Path, *how: Any) -> dict:
+def _build(source: Path, workspace: Path, options: Options, progress: Callable[..., tqdm]) -> dict:
     """Reconstruct in its own process: leave `workspace/scene`, return the report."""
+    from gsjax.io.sfm.reconstruction import build  # Loads pycolmap and OpenCV, which the parent needs not.
+
     try:
-        return _built(source, workspace, *how)
+        return build(source, workspace, options, progress)
     except OSError as error:
         raise unwritable(workspace, error) from error
     except RuntimeError as error:  # Also of COLMAP's database, which reports a full disk in words of its own.
         if shutil.disk_usage(workspace).free > _LITTLE_ROOM:
             raise
         raise unwritable(workspace, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
-
-
-def _built(source: Path, workspace: Path, options: _Options, progress: Callable[..., tqdm]) -> dict:
-    from gsjax.io.images import SUFFIXES
-    from gsjax.io.sfm import (
-        dataset_writer,
-        features,
-        georeference,
-        initial_cameras,
-        learned,
-        mapping,
-        pairs,
-        source_photos,
-        video,
-    )
-
-    mapping.pycolmap.set_random_seed(0)
-    folder = source
-    if source.is_file():
-        if source.suffix.lower() in SUFFIXES:
-            raise InputError(f"{source}: is one photo; give the folder that holds all of them")
-        folder = video.write_sharpest_frames(source, workspace / "frames", options.frames, progress)
-    photos, faults = source_photos.usable_photos(folder)
-    if options.panoramas:
-        photos = source_photos.as_panoramas(photos, options.mask_below)
-    hint = "" if options.panoramas else source_photos.panorama_hint(photos)
-    if options.weights is None:
-        detected, matcher = features.find_features(photos, progress), None
-    else:
-        weights, matcher = Path(options.weights), options.matcher_weights and Path(options.matcher_weights)
-        detected, matcher = learned.find_features(photos, options.features, weights, matcher, progress)
-    scores = pairs.likeness(detected, progress)
-    priors, ignored_focals = initial_cameras.focal_priors(photos)
-    material = mapping.Material(photos, detected, scores, [], matcher)
-    try:
-        model, left_out, second_mapping = mapping.map_photos_with_priors(material, priors, workspace, progress)
-    except InputError as error:
-        raise InputError(f"{source}: {error}{hint}") from error
-    placed = georeference.place_model(model, photos)
-    dataset_writer.write_dataset(model, photos, make_folder(workspace / "scene"), progress)
-    write_place(workspace / "scene", placed.place)
-    return {
-        "images": len(photos) + len(faults),
-        "registered": model.num_reg_images(),
-        "left_out": {fault.name: fault.reason for fault in faults}
-        | {name: why + hint for name, why in left_out.items()},
-        "passed_over": source_photos.unused_files(folder),
-        "points": model.num_points3D(),
-        "mean_reprojection_error": model.compute_mean_reprojection_error(),
-        "mean_track_length": model.compute_mean_track_length(),
-        "place": placed.summary,
-        "focal_unused": ignored_focals,
-        "second_mapping": second_mapping,
-        "gps_unused": {photo.name: photo.fix for photo in photos if isinstance(photo.fix, str)}
-        | {photos[index].name: f"{metres:.0f} m from the photo's place" for index, metres in placed.errors.items()},
-    }

@@ -10,10 +10,10 @@ from gsjax.io.colmap_writer import write_whole
 from gsjax.io.images import filter_straight, write_image
 from gsjax.io.lenses import Lens, PinholeView, pinhole_views
 from gsjax.io.packages import require
+from gsjax.io.parallel_map import Progress
 from gsjax.io.photo_names import printable_name, written_name
 from gsjax.io.photos import valid_of
 from gsjax.io.sfm.initial_cameras import panorama_camera
-from gsjax.io.sfm.progress import Progress
 from gsjax.io.sfm.source_photos import SourcePhoto, turned_pinhole, turned_points, turned_pose
 
 pycolmap = require("pycolmap")
@@ -38,11 +38,7 @@ def write_dataset(model: Any, photos: Sequence[SourcePhoto], folder: Path, progr
             key = (image.camera_id, photo.to_upright)
             if key not in cameras:
                 cameras[key] = len(cameras) + 1
-                if photo.is_panorama:
-                    camera = panorama_camera(cameras[key], view.width, view.height)
-                else:
-                    camera = _camera(cameras[key], view, photo.to_upright)
-                upright.add_camera_with_trivial_rig(camera)
+                upright.add_camera_with_trivial_rig(_upright_camera(cameras[key], view, photo))
             colors, matte = photo.read()
             if view.source_xy is not None:
                 colors, matte = filter_straight(colors, matte, view.warp)
@@ -52,11 +48,7 @@ def write_dataset(model: Any, photos: Sequence[SourcePhoto], folder: Path, progr
             names.add(name)
             xy = _keypoints(image) if photo.is_panorama else _undistorted(image, view)
             _gather_colors(sums, image, colors, xy)
-            picture = colors if matte is None else np.dstack([colors, matte])
-            write_image(folder / "images" / name, photo.upright(picture))
-            valid = valid_of(view, photo.read_mask(), view.width, view.height)
-            if valid is not None and not valid.all():
-                write_image(folder / "masks" / f"{name}.png", photo.upright(valid))
+            _write_pictures(folder, name, photo, view, colors if matte is None else np.dstack([colors, matte]))
             xy = turned_points(xy, view.width, view.height, photo.to_upright)
             pose = turned_pose(image.cam_from_world().matrix(), photo.to_upright)
             turned = pycolmap.Image(name, xy, cameras[key], number)
@@ -69,12 +61,22 @@ def write_dataset(model: Any, photos: Sequence[SourcePhoto], folder: Path, progr
     write_whole(upright, folder / "sparse" / "0")
 
 
+def _write_pictures(folder: Path, name: str, photo: SourcePhoto, view: PinholeView, picture: np.ndarray) -> None:
+    """Write an image, and its mask where one of its pixels is not valid."""
+    write_image(folder / "images" / name, photo.upright(picture))
+    valid = valid_of(view, photo.read_mask(), view.width, view.height)
+    if valid is not None and not valid.all():
+        write_image(folder / "masks" / f"{name}.png", photo.upright(valid))
+
+
 def _lens(camera) -> Lens:
     return Lens(camera.model_name, camera.width, camera.height, tuple(camera.params))
 
 
-def _camera(number: int, view: PinholeView, turns: int):
-    params, width, height = turned_pinhole(view.K, view.width, view.height, turns)
+def _upright_camera(number: int, view: PinholeView, photo: SourcePhoto):
+    if photo.is_panorama:
+        return panorama_camera(number, view.width, view.height)
+    params, width, height = turned_pinhole(view.K, view.width, view.height, photo.to_upright)
     return pycolmap.Camera(camera_id=number, model="PINHOLE", width=width, height=height, params=params)
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gsjax.io.images import cv2, resize
-from gsjax.io.sfm.progress import Progress, map_with_bar
+from gsjax.io.parallel_map import Progress, map_with_bar
 from gsjax.io.sfm.source_photos import SourcePhoto
 
 MOST_FEATURES = 4096  # a photo

@@ -65,30 +65,22 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
     has_heights = np.isfinite(degrees[:, 2])
     origin, places = _plane(degrees, has_heights)
 
-    trusted, motion, tilt_error = np.zeros(0, int), None, math.inf
-    if has_heights.sum() >= FEWEST:
-        rows = np.flatnonzero(has_heights)
-        fitted = _least_median(_rigid, 3, centers[rows], places[rows])
-        if fitted is not None:
-            motion, trusted = fitted[0], rows[fitted[1]]
-            tilt_error = _tilt_error(motion, centers[trusted], places[trusted])
-    is_level = motion is None or up_error < tilt_error
+    fitted, tilt_error = _fit_with_heights(centers, places, np.flatnonzero(has_heights))
+    is_level = fitted is None or up_error < tilt_error
     if is_level:
         flat = np.where(has_heights[:, None], places, places * [1, 1, 0])
         fitted = _least_median(_level(turn_upright(up), has_heights), 2, centers, flat)
-        if fitted is None or min(up_error, tilt_error) > _LARGEST_ERROR:
-            return _unknown("neither the GPS of the photos nor the cameras imply which way is up")
-        motion, trusted = fitted
-    assert motion is not None
-    across = places[trusted] - places[trusted].mean(0)
+    if fitted is None or (is_level and min(up_error, tilt_error) > _LARGEST_ERROR):
+        return _unknown("neither the GPS of the photos nor the cameras imply which way is up")
+    motion, trusted = fitted
     axes = 2 if is_level else 3
+    across = (places[trusted] - places[trusted].mean(0))[:, :axes]
     residual = np.linalg.norm((motion(centers) - places)[:, :axes], axis=1)
-    spread = math.sqrt((across[:, :axes] ** 2).sum())
+    spread = math.sqrt((across**2).sum())
     if math.sqrt((residual[trusted] ** 2).sum()) > _LARGEST_NOISE * spread:
         return _unknown(f"the photos are within {_length(2 * spread / math.sqrt(len(trusted)))} of each other by GPS,"
                         " which is no more than its errors")  # fmt: skip
-    wrong = sorted(set(range(len(having))) - set(trusted.tolist()))
-    errors = {int(having[row]): float(residual[row]) for row in wrong}
+    errors = {int(having[row]): float(residual[row]) for row in np.setdiff1d(np.arange(len(having)), trusted)}
     altitude = origin[2] if has_heights.any() else None
     known_by = f"GPS of {len(trusted)} photos"
     place = Place(
@@ -101,8 +93,18 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
     )
     summary = f"metres by the {known_by}, which are {_length(float(np.median(residual[trusted])))} from it (median)"
     up_source = _up_source(level.source, tilt_error, altitude) if is_level else "the GPS"
-    summary += f"; up by {up_source}; origin {_degrees(origin)}"
-    return Georeference(place, summary, errors)
+    return Georeference(place, f"{summary}; up by {up_source}; origin {_degrees(origin)}", errors)
+
+
+def _fit_with_heights(
+    centers: np.ndarray, places: np.ndarray, rows: np.ndarray
+) -> tuple[tuple[_Motion, np.ndarray] | None, float]:
+    """Fit the motion of the photos with heights, with its inliers, and the error of its up, radians."""
+    fitted = _least_median(_rigid, 3, centers[rows], places[rows]) if len(rows) >= FEWEST else None
+    if fitted is None:
+        return None, math.inf
+    motion, trusted = fitted[0], rows[fitted[1]]
+    return (motion, trusted), _tilt_error(motion, centers[trusted], places[trusted])
 
 
 def place_model(model: Any, photos: Sequence[SourcePhoto]) -> Georeference:

@@ -8,14 +8,16 @@ the gimbal's pitch (0 level, -90 straight down) and roll, degrees.
 
 import math
 import re
-import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from io import BytesIO
 from typing import Any, NamedTuple
 
 import numpy as np
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 MAKER_NOTE = 0x927C
-_APPLE, _ACCELERATION, _RATIONAL = b"Apple iOS\0", 0x0008, 10
+_APPLE, _ACCELERATION = b"Apple iOS\0", 0x0008
+_TIFF_HEADERS = {b"MM": b"MM\0*\0\0\0\0", b"II": b"II*\0\0\0\0\0"}  # by their byte order
 _FRONT_LENS = 0xA434  # the tag of a lens' name, in which Apple says "front camera"
 _STILL = 0.1  # of g: a larger difference is acceleration of the hand
 _FLAT = 0.5  # of g along the picture: with less, its lower edge is undetermined
@@ -99,21 +101,12 @@ def _of_gimbal(xmp: str) -> Vector | None:
 
 
 def _acceleration(note: bytes) -> Vector | None:
-    """Read the three signed fractions in Apple's maker note, whose table follows its name, version and byte order."""
+    """Read the three fractions in Apple's maker note, whose table follows its name, version and byte order."""
     try:
-        order = {b"MM": ">", b"II": "<"}[note[12:14]]
-        for tag, kind, count, value in _entries(note, order):
-            if (tag, kind, count) == (_ACCELERATION, _RATIONAL, 3):
-                numbers = struct.unpack_from(f"{order}6i", note, value)
-                x, y, z = (top / bottom for top, bottom in zip(numbers[::2], numbers[1::2], strict=True))
-                return x, y, z
-    except (KeyError, struct.error, ZeroDivisionError):
-        pass
-    return None
-
-
-def _entries(note: bytes, order: str) -> Iterator[tuple[int, int, int, int]]:
-    """Yield tag, type, count, and offset of the value of every entry."""
-    (count,) = struct.unpack_from(f"{order}H", note, 14)
-    for index in range(count):
-        yield struct.unpack_from(f"{order}HHII", note, 16 + 12 * index)
+        table, content = ImageFileDirectory_v2(_TIFF_HEADERS[note[12:14]]), BytesIO(note)
+        content.seek(14)
+        table.load(content)
+        x, y, z = map(float, table[_ACCELERATION])
+    except Exception:  # Pillow's many ways to say "damaged".
+        return None
+    return x, y, z

@@ -10,8 +10,8 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.images import cv2, resize
+from gsjax.io.parallel_map import Progress, map_with_bar, thread_count
 from gsjax.io.sfm.features import MOST_FEATURES, Features, Nearness, usable
-from gsjax.io.sfm.progress import Progress, map_with_bar, thread_count
 from gsjax.io.sfm.source_photos import SourcePhoto, turned_points
 
 # The bounds that COLMAP has for ALIKED (src/colmap/feature/aliked.h), as an angle.

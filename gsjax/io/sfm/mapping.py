@@ -11,12 +11,12 @@ from gsjax.errors import InputError
 from gsjax.io.colmap_writer import write_whole
 from gsjax.io.files import make_folder
 from gsjax.io.packages import require
+from gsjax.io.parallel_map import Progress, map_with_bar, thread_count
 from gsjax.io.sfm.features import Features, Region, epipolar_regions, homography_regions, match
 from gsjax.io.sfm.focal_lengths import CameraKey
 from gsjax.io.sfm.gps import Fix
 from gsjax.io.sfm.initial_cameras import PANORAMA, guess_cameras
 from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest_pairs, nearby_pairs
-from gsjax.io.sfm.progress import Progress, map_with_bar, thread_count
 from gsjax.io.sfm.source_photos import SourcePhoto
 
 pycolmap = require("pycolmap")

@@ -8,9 +8,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from gsjax.io.parallel_map import Progress, map_with_bar
 from gsjax.io.sfm.features import Features, match
 from gsjax.io.sfm.gps import Fix
-from gsjax.io.sfm.progress import Progress, map_with_bar
 
 Pair = tuple[int, int]  # photos by their place in the list, the smaller first
 

@@ -15,11 +15,11 @@ from gsjax.errors import InputError
 from gsjax.io import exif
 from gsjax.io.bad_items import Fault, leave_out, read_usable, require_enough
 from gsjax.io.image_folders import MASK_ENDS, REDUCED, masks_in
-from gsjax.io.images import SUFFIXES, check_image, cv2, image_size, open_image, read_image, read_mask, same_shape
+from gsjax.io.images import SUFFIXES, check_image, cv2, open_image, read_image, read_mask, same_shape
 from gsjax.io.messages import print_once
 from gsjax.io.photos import says_nothing
 from gsjax.io.sfm import gps
-from gsjax.io.sfm.focal_lengths import CameraKey, Focal, read_focal
+from gsjax.io.sfm.focal_lengths import CameraKey, read_focal
 from gsjax.io.sfm.gravity import Vector, read_gravity
 
 _MASKS = "masks", "mask"  # what the folder may be called, in any case
@@ -272,26 +272,18 @@ def read_source_photo(path: Path, name: str, mask_path: Path | None = None) -> S
     Raises:
         InputError: The file is missing or no image.
     """
-    width, height = image_size(path)
-    make, model, focal, orientation, fix, down = _exif(path)
-    mirrored, turns = _ORIENTATIONS.get(orientation, (0, 0))
-    standing = int(height > width)
-    camera = (make, model, focal, max(width, height), min(width, height))
-    return SourcePhoto(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path, fix, down)
-
-
-def _exif(path: Path) -> tuple[str, str, Focal, int, gps.Fix | str | None, Vector | None]:
-    """Read make, model, focal length, orientation, GPS and gravity; empty, 1 and None where they are absent."""
     with open_image(path) as picture:
-        orientation = exif.orientation_of(picture)
-        if orientation is None:
-            print_once(f"{path}: its EXIF is damaged; the photo is taken as it is stored, upright or not")
-        tags = exif.tags_of(picture)
+        (width, height), orientation, tags = picture.size, exif.orientation_of(picture), exif.tags_of(picture)
         details = exif.table_of(tags, exif.DETAILS)
         try:
             fix = gps.read_fix(tags.get_ifd(gps.TAG))
         except Exception:  # Pillow's many ways to say "damaged".
             fix = "its table of GPS is damaged"
-        down = read_gravity(details, picture.info.get("xmp"))
-    focal = read_focal(details)
-    return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, orientation or 1, fix, down
+        gravity = read_gravity(details, picture.info.get("xmp"))
+    if orientation is None:
+        print_once(f"{path}: its EXIF is damaged; the photo is taken as it is stored, upright or not")
+    mirrored, turns = _ORIENTATIONS[orientation or 1]
+    standing = int(height > width)
+    make, model = (str(tags.get(tag, "")) for tag in (_MAKE, _MODEL))
+    camera = (make, model, read_focal(details), max(width, height), min(width, height))
+    return SourcePhoto(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path, fix, gravity)
