@@ -23,7 +23,7 @@ trimesh.PointCloud(rng.normal(size=(2_000_000, 3)), np.zeros((2_000_000, 4), np.
 """
 MODEL = """
 import pycolmap
-from gsjax.io.colmap_model import read_model as read
+from gsjax.io.colmap import read_model as read
 model = pycolmap.Reconstruction()
 camera = pycolmap.Camera(camera_id=1, model="PINHOLE", width=400, height=400, params=(300, 300, 200, 200))
 model.add_camera_with_trivial_rig(camera)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.colmap_model import read_model
+from gsjax.io.colmap import read_model
 from gsjax.io.files import flush, make_folder
 from gsjax.io.packages import require
 from gsjax.scene import Frame

@@ -80,7 +80,9 @@ def open_depth_maps(scene: str | Path, source: str, unit: str | None, frames: tu
         raise InputError(
             f"{folder}: no depth map in it has the name of a photo, as {map_places(frames)[frames[0].name]}.png"
         )
-    unit = unit or _stated_unit(folder)
+    unit = unit or _depth_json(folder).get("unit")
+    if unit is None:
+        raise InputError(f"{folder}: its unit of depth is not stated; set supervision.depth_unit, or {UNIT_FILE} in it")
     return _opened(folder, existing_files, unit, METRES.get(unit), frames)
 
 
@@ -128,12 +130,6 @@ def _depth_json(folder: Path) -> dict[str, Any]:
     """What `depth.json` next to the maps says."""
     file = folder / UNIT_FILE
     return json_files.read(file, _STATED) if file.is_file() else {}
-
-
-def _stated_unit(folder: Path) -> str:
-    if "unit" not in (record := _depth_json(folder)):
-        raise InputError(f"{folder}: its unit of depth is not stated; set supervision.depth_unit, or {UNIT_FILE} in it")
-    return record["unit"]
 
 
 def _intrinsics(folder: Path) -> np.ndarray | None:

@@ -22,8 +22,9 @@ def machine() -> dict[str, str | int | None]:
     import jax
 
     device = jax.local_devices()[0]
+    cpu = re.search(r"^model name\s*:\s*(.+)$", _text("/proc/cpuinfo"), re.MULTILINE)
     return {
-        "cpu": _cpu_model(),
+        "cpu": cpu[1] if cpu else platform.processor() or platform.machine(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30),
         "platform": platform.platform(),
@@ -123,11 +124,6 @@ def cpu_flags(path: str | Path = "/proc/cpuinfo") -> frozenset[str]:
     """Instruction-set flags of the first core as Linux names them (`avx512f`); empty on other systems."""
     match = re.search(r"^flags\s*:(.*)$", _text(path), re.MULTILINE)
     return frozenset(match[1].split()) if match else frozenset()
-
-
-def _cpu_model() -> str:
-    match = re.search(r"^model name\s*:\s*(.+)$", _text("/proc/cpuinfo"), re.MULTILINE)
-    return match[1] if match else platform.processor() or platform.machine()
 
 
 def _text(path: str | Path) -> str:

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Callable, Hashable, Sequence
-from functools import cache
 
 from tqdm import tqdm
 
@@ -27,10 +26,9 @@ def show_with(show: Callable[[str], None]) -> None:
     _show = show
 
 
-@cache
 def print_once(line: str) -> None:
     """Prints a line; once, however often a command loads the data set."""
-    _show(line)
+    print_first(line, line)
 
 
 def print_first(kind: Hashable, line: str) -> None:

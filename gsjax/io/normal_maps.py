@@ -159,17 +159,16 @@ def unit_or_zero(normals: np.ndarray, shortest: float = 0.0) -> np.ndarray:
 
 def _read(file: Path) -> np.ndarray:
     """`[H, W, 3]` float32 as the file has them."""
-    normals = _read_png(file) if file.suffix == ".png" else _read_array(file)
+    if file.suffix == ".png":
+        normals = _read_png(file)
+    else:
+        arrays = read_arrays(file)
+        array = arrays[_key(file, list(arrays))]
+        normals = array if array.shape[2] == 3 else array.transpose(1, 2, 0)
     broken = ~(np.abs(normals.astype(np.float64)) <= _LONGEST).all(axis=-1)
     if broken.any():
         raise InputError(f"{file}: {broken.sum()} pixels of the normal map are not finite")
     return normals.astype(np.float32)
-
-
-def _read_array(file: Path) -> np.ndarray:
-    arrays = read_arrays(file)
-    array = arrays[_key(file, list(arrays))]
-    return array if array.shape[2] == 3 else array.transpose(1, 2, 0)
 
 
 def _key(file: Path, keys: list[str]) -> str:

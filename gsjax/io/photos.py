@@ -1,5 +1,6 @@
 """Posed photos as a data set lists them, and the frames made of them: masked, undistorted, downscaled."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -125,8 +126,9 @@ def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Fra
     turn = np.eye(4)
     turn[:3, :3] = view.rotation
     scale = np.array([[width / view.width], [height / view.height], [1.0]])
+    stem, ending = os.path.splitext(photo.name)
     return Frame(
-        name=_with_suffix(photo.name, view.suffix),
+        name=f"{stem}{view.suffix}{ending}",
         viewmat=(turn @ photo.viewmat).astype(np.float32),
         K=(view.K * scale).astype(np.float32),
         width=width,
@@ -201,8 +203,3 @@ def _mask_of_size(path: Path, width: int, height: int) -> np.ndarray:
     if mask.shape[1] < width:
         return cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST)
     return resize(mask, width, height)
-
-
-def _with_suffix(name: str, suffix: str) -> str:
-    stem, dot, extension = name.rpartition(".")
-    return f"{stem}{suffix}{dot}{extension}" if dot else name + suffix

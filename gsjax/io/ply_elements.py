@@ -38,12 +38,9 @@ def read_elements(path: Path) -> tuple[dict[str, np.ndarray], str]:
     header = data[:end].decode("ascii", "replace")
     form, elements = _parse_header(path, header)
     read = _ascii_rows if form == "ascii" else _binary_rows
-    order = ">" if form == "binary_big_endian" else "<"
     rows = {}
-    for name, count, fields in elements:
-        if not fields:  # As gsplat's harmonics of degree 0.
-            continue
-        rows[name], start = read(path, name, data, start, count, np.dtype(fields).newbyteorder(order))
+    for name, count, dtype in elements:
+        rows[name], start = read(path, name, data, start, count, dtype)
     return rows, header
 
 
@@ -108,8 +105,8 @@ def read_filter(header: str) -> PixelFilter:
     return "mip" if values and values[-1] in ("mip", "1") else "classic"
 
 
-def _parse_header(path: Path, header: str) -> tuple[str, list[tuple[str, int, list]]]:
-    """The form of the body; name, count and fields of the elements up to the first with a list."""
+def _parse_header(path: Path, header: str) -> tuple[str, list[tuple[str, int, np.dtype]]]:
+    """The form of the body; name, count and type of the elements with columns up to the first with a list."""
     form, elements = "", []
     try:
         for words in (line.split() for line in header.splitlines()):
@@ -124,16 +121,16 @@ def _parse_header(path: Path, header: str) -> tuple[str, list[tuple[str, int, li
                 break
             elif words[:1] == ["property"]:
                 elements[-1][2].append((words[2], _TYPES[words[1]]))
-        for name, _, fields in elements:
-            if len({field for field, _ in fields}) < len(fields):
-                raise ValueError(f"a column of {name!r} is there twice")
         if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
             raise ValueError(f"format {form!r}")
-        if any(count < 0 for _, count, _ in elements) or not any(fields for _, _, fields in elements):
+        order = ">" if form == "binary_big_endian" else "<"
+        # Gsplat's harmonics of degree 0 have no columns; ValueError of a column that is there twice.
+        typed = [(name, count, np.dtype(fields).newbyteorder(order)) for name, count, fields in elements if fields]
+        if not typed or any(count < 0 for _, count, _ in elements):
             raise ValueError("no element of plain numbers comes first")
     except (IndexError, KeyError, ValueError) as error:
         raise InputError(f"{path}: PLY header not understood ({error})") from error
-    return form, elements
+    return form, typed
 
 
 def _binary_rows(path: Path, name: str, data: bytes, start: int, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io import colmap, colmap_model, transforms
+from gsjax.io import colmap, transforms
 from gsjax.io.bad_items import Fault, leave_out, read_usable
 from gsjax.io.georeference_files import read_place
 from gsjax.io.image_folders import locate_photos, masks_in
@@ -110,13 +110,13 @@ def list_photos(root: str | Path, images: str | None = None) -> list[Photo]:
 def is_data_set(root: str | Path) -> bool:
     """Whether a folder is laid out as one that `load_scene` reads; the contents of the files are ignored."""
     root = Path(root)
-    return colmap_model.find_model(root) is not None or any((root / file).is_file() for file in transforms.FILES)
+    return colmap.find_model(root) is not None or any((root / file).is_file() for file in transforms.FILES)
 
 
 def _read_capture(root: Path) -> Capture:
     if not os.path.isdir(root):  # Unlike Path, also of a name that is too long.
         raise InputError(f"{root}: no such folder")
-    model = colmap_model.find_model(root)
+    model = colmap.find_model(root)
     if model is not None:
         others = [file for file in transforms.FILES if (root / file).is_file()]
         if others:

@@ -62,7 +62,8 @@ def lens_of(file: Path, entry: dict[str, Any], path: Path) -> Lens:
     where = f"{file}: camera of {entry['file_path']}"
     name = entry.get("camera_model") or ("OPENCV_FISHEYE" if entry.get("is_fisheye") else "OPENCV")
     model = name.upper() if isinstance(name, str) else ""
-    width, height = _size(where, entry, path)
+    width, height = _number(where, entry, "w"), _number(where, entry, "h")
+    width, height = (int(width), int(height)) if width and height else image_size(path)
     if model == "EQUIRECTANGULAR":
         return check_lens(Lens(model, width, height, (float(width), float(height))), where)
     if model not in _MODELS:
@@ -93,29 +94,21 @@ def depth_of(entry: dict[str, Any], path: Path | None) -> DepthFile | None:
         return DepthFile(path, math.nan)
 
 
-def _size(where: str, entry: dict[str, Any], path: Path) -> tuple[int, int]:
-    width, height = _number(where, entry, "w"), _number(where, entry, "h")
-    return (int(width), int(height)) if width and height else image_size(path)
-
-
 def _focal_lengths(where: str, entry: dict[str, Any], width: int, height: int) -> tuple[float, float]:
     """From `fl_x`, `fl_y`, or the angles of view; where one axis is missing, pixels are square."""
-    fx = _focal_length(where, entry, "fl_x", "camera_angle_x", width)
-    fy = _focal_length(where, entry, "fl_y", "camera_angle_y", height)
-    either = fy if fx is None else fx
-    if either is None:
+    focals: dict[str, float] = {}
+    for axis, side in (("x", width), ("y", height)):
+        stated, angle = _number(where, entry, f"fl_{axis}"), _number(where, entry, f"camera_angle_{axis}")
+        if stated is not None:
+            focals[axis] = stated
+        elif angle is not None and not 0 < angle < math.pi:
+            raise InputError(f"{where} has camera_angle_{axis} {angle:g}, which is no angle of view in radians")
+        elif angle is not None:
+            focals[axis] = 0.5 * side / max(math.tan(0.5 * angle), 1e-30)
+    if not focals:
         raise InputError(f"{where} has neither fl_x nor camera_angle_x")
-    return either if fx is None else fx, either if fy is None else fy
-
-
-def _focal_length(where: str, entry: dict[str, Any], key: str, angle_key: str, side: int) -> float | None:
-    """A focal length, pixels, as it is stated or as the angle of view says; None where neither is there."""
-    stated, angle = _number(where, entry, key), _number(where, entry, angle_key)
-    if stated is not None or angle is None:
-        return stated
-    if not 0 < angle < math.pi:
-        raise InputError(f"{where} has {angle_key} {angle:g}, which is no angle of view in radians")
-    return 0.5 * side / max(math.tan(0.5 * angle), 1e-30)
+    either = next(iter(focals.values()))
+    return focals.get("x", either), focals.get("y", either)
 
 
 def _number(where: str, entry: dict[str, Any], key: str) -> float | None:

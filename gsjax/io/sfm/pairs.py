@@ -68,7 +68,9 @@ def likeliest_pairs(scores: np.ndarray, photos: Iterable[int], among: Iterable[i
 
 def bridging_pairs(scores: np.ndarray, matched: Iterable[Pair], attempts: set[Pair]) -> set[Pair]:
     """Return pairs that may join connected parts: photos outside the largest part, with those of other parts."""
-    parts = connected_parts(len(scores), matched)
+    rows, columns = np.array(list(matched), np.int64).reshape(-1, 2).T
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=scores.shape)
+    parts = connected_components(graph, directed=False)[1]  # [V]
     largest = np.bincount(parts).argmax()
     pairs = set()
     for part in np.unique(parts[parts != largest]):
@@ -76,10 +78,3 @@ def bridging_pairs(scores: np.ndarray, matched: Iterable[Pair], attempts: set[Pa
             scores, np.flatnonzero(parts == part).tolist(), np.flatnonzero(parts != part), attempts
         )
     return pairs
-
-
-def connected_parts(count: int, matched: Iterable[Pair]) -> np.ndarray:
-    """Return `[V]` int, equal for photos that are connected by matched pairs."""
-    rows, columns = np.array(list(matched), np.int64).reshape(-1, 2).T
-    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
-    return connected_components(graph, directed=False)[1]

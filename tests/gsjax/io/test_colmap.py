@@ -10,8 +10,7 @@ import pycolmap
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io.colmap import read_capture
-from gsjax.io.colmap_model import find_model, read_model
+from gsjax.io.colmap import find_model, read_capture, read_model
 from gsjax.io.colmap_writer import write_whole
 from gsjax.io.scenes import load_scene
 
