@@ -14,7 +14,6 @@ from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians
 from gsjax.io import packing, ply_elements
 from gsjax.io.files import atomic_path
-from gsjax.io.foreign_columns import report_unread
 from gsjax.io.georeference_files import place_comments
 from gsjax.scene.georeference import UNPLACED, Place
 
@@ -92,7 +91,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     is_packed = all(name in columns and vertices.dtype[name].str[1:] == "u4" for name in _PACKED)
     if not (is_packed and set(_names(_MEANS, _SCALES)) <= set(chunk_columns)):
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
-    report_unread(path, [name for name in columns if name not in _PACKED])
+    ply_elements.report_unread(path, [name for name in columns if name not in _PACKED])
     if not np.isfinite(ply_elements.stack_columns(chunks, list(chunk_columns))).all():
         raise InputError(f"{path}: bounds of a chunk are not finite")
     count = len(vertices)

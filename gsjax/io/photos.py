@@ -126,6 +126,10 @@ def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Fra
     turn = np.eye(4)
     turn[:3, :3] = view.rotation
     scale = np.array([[width / view.width], [height / view.height], [1.0]])
+    lens, origin = photo.lens, None
+    if view.source_xy is not None and not view.suffix:
+        positions = partial(_positions, lens, (width, height))
+        origin = Origin((lens.width, lens.height), (view.width, view.height), positions)
     stem, ending = os.path.splitext(photo.name)
     return Frame(
         name=f"{stem}{view.suffix}{ending}",
@@ -135,16 +139,10 @@ def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Fra
         height=height,
         pixels=partial(_read, photo, index, (width, height), folder_masks),
         held_out=photo.held_out,
-        origin=_origin(photo.lens, view, (width, height)),
+        origin=origin,
         depth=None if view.suffix else photo.depth,
         masked=view.valid is not None or (photo.mask_path is not None and folder_masks == "valid"),
     )
-
-
-def _origin(lens: Lens, view: PinholeView, size: tuple[int, int]) -> Origin | None:
-    if view.source_xy is None or view.suffix:
-        return None
-    return Origin((lens.width, lens.height), (view.width, view.height), partial(_positions, lens, size))
 
 
 def _positions(lens: Lens, size: tuple[int, int]) -> np.ndarray:

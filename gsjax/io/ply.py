@@ -11,13 +11,14 @@ from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians, rgb_to_sh, smallest_axes
 from gsjax.io.bad_items import leave_out_rows
 from gsjax.io.files import atomic_path
-from gsjax.io.foreign_columns import filter_column, fuse_filter
 from gsjax.io.georeference_files import place_comments
 from gsjax.io.messages import print_once
 from gsjax.io.ply_elements import (
     encode_elements,
+    filter_column,
     filter_comments,
     from_rest_columns,
+    fuse_filter,
     read_elements,
     read_filter,
     rest_columns,

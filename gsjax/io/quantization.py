@@ -31,7 +31,9 @@ def codebook(values: np.ndarray) -> np.ndarray:
         cut = start + int(np.clip(np.searchsorted(part, part.mean(), "right"), 1, len(part) - 1))
         for half in ((start, cut), (cut, end)):
             heapq.heappush(ranges, (_negative_error(ordered[slice(*half)]), *half))
-    entries = np.sort([_mean(ordered[start:end]) for _, start, end in ranges]).astype(np.float32)
+    # Rounding may bring the mean of equal values to another one.
+    means = [np.clip(ordered[start:end].mean(), ordered[start], ordered[end - 1]) for _, start, end in ranges]
+    entries = np.sort(means).astype(np.float32)
     return np.pad(entries, (0, SIZE - len(entries)), mode="edge")
 
 
@@ -82,7 +84,3 @@ def _some(rows: np.ndarray, count: int, random: np.random.Generator) -> np.ndarr
 def _negative_error(ordered: np.ndarray) -> float:
     """Minus the squared error of sorted values about their mean: what a heap has first is split first."""
     return -float(np.var(ordered)) * len(ordered) if ordered[0] < ordered[-1] else 0.0
-
-
-def _mean(ordered: np.ndarray) -> float:
-    return float(ordered.mean()) if ordered[0] < ordered[-1] else float(ordered[0])

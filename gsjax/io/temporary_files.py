@@ -7,6 +7,7 @@ import secrets
 import shutil
 import tempfile
 import weakref
+from collections.abc import Iterable
 from pathlib import Path
 from typing import IO
 
@@ -37,21 +38,13 @@ def is_temporary(path: Path) -> bool:
 
 def sweep(folder: str | Path) -> None:
     """Removes, in a folder and those under it, the temporary files of writers that were killed; no file of others."""
-    for path in Path(folder).rglob(".*"):
-        if _is_left(path) and path.is_file():
-            path.unlink(missing_ok=True)
+    _remove_left(path for path in Path(folder).rglob(".*") if path.is_file())
 
 
 def sweep_beside(path: Path) -> None:
     """Remove temporary files and folders that killed writers of `path` have left in its folder, or where it leads."""
     path = behind_link(path)
-    for left in path.parent.glob(f"{glob.escape(_beginning(path))}*{glob.escape(path.suffix)}"):
-        if not _is_left(left):
-            continue
-        if left.is_dir() and not left.is_symlink():
-            shutil.rmtree(left, ignore_errors=True)
-        else:
-            left.unlink(missing_ok=True)
+    _remove_left(path.parent.glob(f"{glob.escape(_beginning(path))}*{glob.escape(path.suffix)}"))
 
 
 def unwritable(path: str | Path, error: OSError) -> InputError:
@@ -95,15 +88,16 @@ def _beginning(path: Path) -> str:
     return f".{path.stem[:_LONGEST]}.gsjax-"
 
 
-def _is_left(path: Path) -> bool:
-    """Whether a temporary name is that of a process that is no more."""
-    match = _NAMES.fullmatch(path.name)
-    if not match:
-        return False
-    try:
-        os.kill(int(match[1]), 0)
-    except (ProcessLookupError, OverflowError):
-        return True
-    except OSError:  # Another user's, which lives.
-        return False
-    return False
+def _remove_left(paths: Iterable[Path]) -> None:
+    """Removes those whose temporary name is that of a process that is no more."""
+    for path in paths:
+        if match := _NAMES.fullmatch(path.name):
+            try:
+                os.kill(int(match[1]), 0)
+            except (ProcessLookupError, OverflowError):
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
+            except OSError:  # Another user's, which lives.
+                continue

@@ -68,8 +68,8 @@ def _surface(root: Path, similarity: Similarity, place: Place) -> dict[str, Any]
 
 def _check(file: Path, frame: Frame, *keys: str) -> None:
     """That the arrays are there and show what the frame shows."""
-    for header in headers(file, *keys).values():
-        height, width = (*header.shape, 0, 0)[:2]
+    for shape, _ in headers(file, *keys).values():
+        height, width = (*shape, 0, 0)[:2]
         whole = frame.origin is None or (width, height) == frame.origin.undistorted
         if not (whole and same_shape((width, height), (frame.width, frame.height))):
             raise InputError(f"{file}: map is {width}x{height} but {frame.name} is {frame.width}x{frame.height}")

@@ -46,7 +46,7 @@ DETECTORS = {
 
 def find_features(
     photos: list[SourcePhoto], kind: str, weights: Path, matcher_weights: Path | None, progress: Progress
-) -> tuple[list[Features], "LightGlue | None"]:
+) -> tuple[list[Features], Callable[[int, int], np.ndarray] | None]:
     """Detect the features of every photo with a network, highest score first, where the photo's mask is on.
 
     The network sees each photo upright, reduced to fit its square and centred in it, neither stretched nor enlarged.
@@ -64,40 +64,36 @@ def find_features(
     features = map_with_bar(
         lambda photo: _features(network, detector, weights, photo), photos, progress, "features", "photo", most=1
     )
-    return features, matcher_weights and LightGlue(glue, matcher_weights, photos, features)
+    return features, matcher_weights and _light_glue(glue, matcher_weights, photos, features)
 
 
-class LightGlue:
-    """Matches the features of two photos, which ALIKED found, by LightGlue."""
+def _light_glue(
+    matcher: Any, weights: Path, photos: list[SourcePhoto], features: list[Features]
+) -> Callable[[int, int], np.ndarray]:
+    """Return a function of two photos that matches their features by LightGlue: `[K, 2]` uint32 rows of these."""
+    one_at_a_time = Lock()  # OpenCV's matcher holds the pair.
 
-    def __init__(self, matcher: Any, weights: Path, photos: list[SourcePhoto], features: list[Features]):
-        self._matcher, self._weights, self._photos, self._features = matcher, weights, photos, features
-        self._one_at_a_time = Lock()  # OpenCV's matcher holds the pair.
+    def in_square(index: int) -> tuple[np.ndarray, int]:
+        """Return `[N, 2]` float32 pixels of the square about the upright photo, and its side."""
+        photo = photos[index]
+        side, size = max(photo.size), np.array(photo.size)
+        xy = features[index].xy + (side - size) / 2
+        return turned_points(xy, side, side, photo.to_upright).astype(np.float32), side
 
-    def __call__(self, i: int, j: int) -> np.ndarray:
-        """Return `[K, 2]` uint32 rows of the features of photos `i` and `j`.
-
-        Raises:
-            InputError: The graph is not LightGlue's.
-        """
-        a, b = self._features[i], self._features[j]
+    def matched(i: int, j: int) -> np.ndarray:
+        a, b = features[i], features[j]
         if min(len(a.xy), len(b.xy)) == 0:
             return np.empty((0, 2), np.uint32)
-        (first, side), (second, other) = self._in_square(i), self._in_square(j)
-        with self._one_at_a_time:
+        (first, side), (second, other) = in_square(i), in_square(j)
+        with one_at_a_time:
             try:
-                self._matcher.setPairInfo(first, second, (side, side), (other, other))
-                matches = self._matcher.match(a.unit(), b.unit())
+                matcher.setPairInfo(first, second, (side, side), (other, other))
+                matches = matcher.match(a.unit(), b.unit())
             except cv2.error as error:
-                raise _unlike("LightGlue", self._weights, error) from error
+                raise _unlike("LightGlue", weights, error) from error
         return np.array([(match.queryIdx, match.trainIdx) for match in matches], np.uint32).reshape(-1, 2)
 
-    def _in_square(self, index: int) -> tuple[np.ndarray, int]:
-        """Return `[N, 2]` float32 pixels of the square about the upright photo, and its side."""
-        photo = self._photos[index]
-        side, size = max(photo.size), np.array(photo.size)
-        in_square = self._features[index].xy + (side - size) / 2
-        return turned_points(in_square, side, side, photo.to_upright).astype(np.float32), side
+    return matched
 
 
 def _features(network: Any, detector: Detector, weights: Path, photo: SourcePhoto) -> Features:

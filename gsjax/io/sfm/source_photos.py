@@ -69,15 +69,12 @@ class SourcePhoto:
         Raises:
             InputError: The file is damaged, or of another shape than the photo.
         """
-        mask, below = self._file_mask(), self._mask_below()
-        return mask if below is None else below if mask is None else np.minimum(mask, below)
-
-    def _mask_below(self) -> np.ndarray | None:
+        mask, (width, height) = self._file_mask(), self.size
         if self.mask_below is None:
-            return None
-        width, height = self.size
+            return mask
         degrees = 180 * (np.arange(height) + 0.5) / height - 90  # below the horizon
-        return np.repeat(np.where(degrees < self.mask_below, np.uint8(255), np.uint8(0))[:, None], width, axis=1)
+        above = np.repeat(np.where(degrees < self.mask_below, np.uint8(255), np.uint8(0))[:, None], width, axis=1)
+        return above if mask is None else np.minimum(mask, above)
 
     def _file_mask(self) -> np.ndarray | None:
         if self.mask_path is None:
@@ -134,12 +131,12 @@ def usable_photos(folder: Path) -> tuple[list[SourcePhoto], list[Fault]]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of photos")
-    root = _photo_folder(folder)
-    pictures = {file.relative_to(root).as_posix(): file for file in _files(root) if _is_photo(file)}
+    root, listed_files, derived_folders = _scan(folder)
+    pictures = {file.relative_to(root).as_posix(): file for file in listed_files if _is_photo(file)}
     beside = _masks_beside(pictures)
     files = {name: file for name, file in pictures.items() if file not in beside.values()}
     if len(files) < 2:
-        hint = "".join(f"; what {path} holds was made of photos" for path in sorted(_derived_folders(root))[:1])
+        hint = "".join(f"; what {path} holds was made of photos" for path in sorted(derived_folders)[:1])
         raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(files)}{hint}")
     masks = {**_masks_in_folders(root, files), **beside}
 
@@ -203,41 +200,34 @@ def _is_panoramic(photo: SourcePhoto) -> bool:
 
 def unused_files(folder: Path) -> dict[str, str]:
     """Return by name why other files of a folder are not photos; hidden ones are left out."""
-    root = _photo_folder(folder)
-    derived_folders = {
-        path.relative_to(root).as_posix(): "was made of photos, by this program or another"
-        for path in _derived_folders(root)
-    }
-    others = [file for file in _files(root) if not _is_photo(file)]
-    endings = {file: file.suffix.lower() or "no ending" for file in others}
-    unread = {f.relative_to(root).as_posix(): f"{endings[f]} is no format of photos that is read" for f in others}
-    return dict(sorted(derived_folders.items())) | unread
+    root, files, derived_folders = _scan(folder)
+    unused = dict.fromkeys(sorted(derived_folders), "was made of photos, by this program or another")
+    for file in files:
+        if not _is_photo(file):
+            unused[file] = f"{file.suffix.lower() or 'no ending'} is no format of photos that is read"
+    return {path.relative_to(root).as_posix(): reason for path, reason in unused.items()}
 
 
-def _photo_folder(folder: Path) -> Path:
+def _scan(folder: Path) -> tuple[Path, list[Path], set[Path]]:
+    """Return the folder of photos, its files but hidden ones, masks and derived pictures, and the folders of these.
+
+    Derived pictures are in folders within that hold a data set, a run or a scan, or have a name of such pictures.
+    """
     inner = folder / "images"
-    return inner if inner.is_dir() and not any(_is_photo(file) for file in folder.glob("*")) else folder
-
-
-def _files(root: Path) -> list[Path]:
-    """List all files but hidden ones, masks, and derived pictures."""
-    others = _derived_folders(root) | {
-        path for path in root.rglob("*") if path.name.casefold() in _MASKS and path.is_dir()
-    }
-    files = [file for file in root.rglob("*") if os.path.isfile(file) and others.isdisjoint(file.parents)]
-    return sorted(f for f in files if not any(part.startswith(".") for part in f.relative_to(root).parts))
+    root = inner if inner.is_dir() and not any(map(_is_photo, folder.glob("*"))) else folder
+    paths = list(root.rglob("*"))
+    derived = {path for path in paths if path.name.casefold() in _OTHERS and path.is_dir()}
+    derived |= {path.parent for path in paths if path.name in _MADE} - {root}
+    others = derived | {path for path in paths if path.name.casefold() in _MASKS and path.is_dir()}
+    files = [path for path in paths if os.path.isfile(path) and others.isdisjoint(path.parents)]
+    visible_files = [file for file in files if not any(part.startswith(".") for part in file.relative_to(root).parts)]
+    return root, sorted(visible_files), derived
 
 
 def _mask_folders(place: Path) -> list[Path]:
     """List the folders of masks in a folder, the most usual name first."""
     folders = [path for path in place.glob("*") if path.name.casefold() in _MASKS and path.is_dir()]
     return sorted(folders, key=lambda path: (_MASKS.index(path.name.casefold()), path))
-
-
-def _derived_folders(root: Path) -> set[Path]:
-    """Return the folders within that hold a data set, a run or a scan, or have a name of derived pictures."""
-    called_so = {path for path in root.rglob("*") if path.name.casefold() in _OTHERS and path.is_dir()}
-    return called_so | {path.parent for name in _MADE for path in root.rglob(name)} - {root}
 
 
 def _is_photo(file: Path) -> bool:

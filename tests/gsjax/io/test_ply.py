@@ -9,8 +9,8 @@ from small_scenes import cloud
 
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians, covariances, take
-from gsjax.io.foreign_columns import fuse_filter
 from gsjax.io.ply import read_gaussians, read_points, write_gaussians
+from gsjax.io.ply_elements import fuse_filter
 
 PLY_TYPES = {"uchar": "u1", "ushort": "<u2", "float": "<f4"}
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")

@@ -9,10 +9,9 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from gsjax.errors import InputError
-from gsjax.io.duplicate_photos import group_duplicates
 from gsjax.io.lenses import Lens
 from gsjax.io.photos import Photo
-from gsjax.io.splits import mark_held_out
+from gsjax.io.splits import group_duplicates, mark_held_out
 
 LENS = Lens("PINHOLE", 240, 160, (200.0, 200.0, 120.0, 80.0))
 
