@@ -64,44 +64,40 @@ def write_built_in_scene(
         progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
     """
     with atomic_folder(out) as folder:
-        _write_parts(folder, num_views, size, seed, progress)
-    return Path(out)
+        for part in ("images", "depth", "normals", "sparse/0"):
+            (folder / part).mkdir(parents=True)
+        cameras = solids.cameras(num_views, size, seed=seed)
 
+        def write_view(index: int) -> None:
+            _write_view(folder, f"{index:03d}", cameras[index], solids.trace(cameras[index]))
 
-def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int, progress) -> None:
-    for part in ("images", "depth", "normals", "sparse/0"):
-        (folder / part).mkdir(parents=True)
-    cameras = solids.cameras(num_views, size, seed=seed)
-
-    def write_view(index: int) -> None:
-        _write_view(folder, f"{index:03d}", cameras[index], solids.trace(cameras[index]))
-
-    with (
-        progress(total=num_views, desc="analytic scene", unit="view") as bar,
-        ThreadPoolExecutor(os.cpu_count()) as pool,  # A view is many small programs, each of which leaves cores idle.
-    ):
-        write_view(0)  # Alone: views at once would each compile them.
-        bar.update()
-        for _ in pool.map(write_view, range(1, num_views)):
+        with (
+            progress(total=num_views, desc="analytic scene", unit="view") as bar,
+            ThreadPoolExecutor(os.cpu_count()) as pool,  # A view is many small programs, which leave cores idle.
+        ):
+            write_view(0)  # Alone: views at once would each compile them.
             bar.update()
-    surface = true_surface.mesh(MESH_SPACING)
-    (folder / "gt_mesh.ply").write_bytes(ply.encode_mesh(surface))
-    samples = _seen_samples(surface, cameras, seed)
-    np.savez_compressed(folder / "gt_points.npz", **_truth_points(samples))
-    _write_model(folder / "sparse/0", samples, cameras, seed)
-    numbers = {
-        "views": num_views,
-        "test": list(range(0, num_views, HELD_OUT_EVERY)),
-        "K": [float(cameras[0].K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))],
-        "res": list(size),
-        "seed": seed,
-        "sky_rgb": [255, 255, 255],
-        "table_radius": solids.TABLE_RADIUS,
-        "eval_half": TRUTH_HALF,
-        "point_noise": POINT_NOISE,
-        "pixel_noise": PIXEL_NOISE,
-    }
-    (folder / "scene.json").write_text(json.dumps(numbers, indent=1) + "\n")
+            for _ in pool.map(write_view, range(1, num_views)):
+                bar.update()
+        surface = true_surface.mesh(MESH_SPACING)
+        (folder / "gt_mesh.ply").write_bytes(ply.encode_mesh(surface))
+        samples = _seen_samples(surface, cameras, seed)
+        np.savez_compressed(folder / "gt_points.npz", **_truth_points(samples))
+        _write_model(folder / "sparse/0", samples, cameras, seed)
+        numbers = {
+            "views": num_views,
+            "test": list(range(0, num_views, HELD_OUT_EVERY)),
+            "K": [float(cameras[0].K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))],
+            "res": list(size),
+            "seed": seed,
+            "sky_rgb": [255, 255, 255],
+            "table_radius": solids.TABLE_RADIUS,
+            "eval_half": TRUTH_HALF,
+            "point_noise": POINT_NOISE,
+            "pixel_noise": PIXEL_NOISE,
+        }
+        (folder / "scene.json").write_text(json.dumps(numbers, indent=1) + "\n")
+    return Path(out)
 
 
 def _write_view(folder: Path, name: str, camera: Camera, view: solids.Trace) -> None:

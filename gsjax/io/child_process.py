@@ -70,10 +70,8 @@ def _listen(stream: BinaryIO, progress: Callable[..., tqdm]) -> Any:
                 case "open":
                     bars.close()
                     bar = bars.enter_context(progress(**value))
-                case "update":
-                    bar.update(value)
-                case "reset":
-                    bar.reset()
+                case "update" | "reset":
+                    getattr(bar, what)(*value)
                 case "note":
                     messages.print_once(value)
                 case "result":
@@ -118,7 +116,7 @@ def _serve() -> None:
 
     def progress(**settings: Any) -> AbstractContextManager:
         tell("open", settings)
-        return nullcontext(SimpleNamespace(update=lambda n=1: tell("update", n), reset=lambda: tell("reset", None)))
+        return nullcontext(SimpleNamespace(update=lambda n=1: tell("update", [n]), reset=lambda: tell("reset", [])))
 
     try:
         function, arguments = pickle.load(sys.stdin.buffer)

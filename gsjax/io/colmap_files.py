@@ -5,7 +5,7 @@ programs may lack the keypoints behind an image; it may have spaces in names, or
 """
 
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -75,7 +75,7 @@ def count_images(file: Path) -> int:
 
 def read_cameras(file: Path) -> dict[int, Lens]:
     """The cameras by their ids; their numbers are not checked."""
-    cameras = _parsed_lines(file, _camera_in) if file.suffix == ".txt" else _records(file, _camera_at)
+    cameras = _parsed_lines(file, "camera", _camera_in) if file.suffix == ".txt" else _records(file, _camera_at)
     lenses: dict[int, Lens] = {}
     for camera, lens in cameras:
         if lenses.setdefault(camera, lens) != lens:
@@ -91,7 +91,7 @@ def read_images(file: Path) -> Iterator[PosedImage]:
 def read_points(file: Path) -> np.ndarray:
     """`[P]` structured array of `id`, `xyz` and `color`, the last of text as it is written: floats."""
     if file.suffix == ".txt":
-        return np.fromiter(_parsed_lines(file, _point_in), _TEXT_POINT)
+        return np.fromiter(_parsed_lines(file, "point", _point_in), _TEXT_POINT)
     return np.frombuffer(b"".join(_records(file, _point_at)), _BINARY_POINT)
 
 
@@ -160,23 +160,27 @@ def _lines(file: Path) -> Iterator[tuple[int, str]]:
             yield number, _decode(line).strip()
 
 
-def _parsed_lines(file: Path, parse: Callable[[Path, int, str], Record]) -> Iterable[Record]:
-    return (parse(file, number, line) for number, line in _lines(file) if line)
+def _parsed_lines(file: Path, kind: str, parse: Callable[[str], Record]) -> Iterator[Record]:
+    """What `parse` makes of each line that is not blank; InputError, which names the line, where it is no record."""
+    for number, line in _lines(file):
+        try:
+            if line:
+                yield parse(line)
+        except InputError as error:
+            raise InputError(f"{file}: {error}") from None
+        except ValueError:
+            raise InputError(f"{file}, line {number}: is no {kind}") from None
 
 
-def _camera_in(file: Path, number: int, line: str) -> tuple[int, Lens]:
-    words = line.split()
-    model = words[1].upper() if len(words) > 1 else ""
+def _camera_in(line: str) -> tuple[int, Lens]:
+    camera, name, *numbers = line.split()
+    model = name.upper()
     if model not in _CAMERA_MODELS:
-        raise InputError(f"{file}: unknown camera model {' '.join(words[1:2])!r} of camera {words[0]}")
-    try:
-        camera, width, height, *params = int(words[0]), int(words[2]), int(words[3]), *map(float, words[4:])
-    except (ValueError, IndexError):
-        raise InputError(f"{file}, line {number}: is no camera") from None
-    count = _CAMERA_MODELS[model]
-    if len(params) != count:
-        raise InputError(f"{file}: camera {camera} has {len(params)} parameters, {model} takes {count}")
-    return camera, Lens(model, width, height, tuple(params))
+        raise InputError(f"unknown camera model {name!r} of camera {camera}")
+    width, height, *params = numbers
+    if len(params) != _CAMERA_MODELS[model]:
+        raise InputError(f"camera {camera} has {len(params)} parameters, {model} takes {_CAMERA_MODELS[model]}")
+    return int(camera), Lens(model, int(width), int(height), tuple(map(float, params)))
 
 
 def _images_in(file: Path) -> Iterator[PosedImage]:
@@ -214,12 +218,9 @@ def _keypoints_in(line: str) -> np.ndarray | None:
     return keypoints
 
 
-def _point_in(file: Path, number: int, line: str) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
-    words = line.split(maxsplit=7)
-    try:
-        point, *numbers = int(words[0]), *map(float, words[1:7])
-    except ValueError:
-        point, numbers = 0, []
-    if len(numbers) != 6 or not is_float32(np.array(numbers[3:])).all() or abs(point) >= 2**63:
-        raise InputError(f"{file}, line {number}: is no point")
-    return point, tuple(numbers[:3]), tuple(numbers[3:])
+def _point_in(line: str) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
+    point, *numbers = line.split(maxsplit=7)[:7]
+    x, y, z, *color = map(float, numbers)
+    if len(color) != 3 or not is_float32(np.array(color)).all() or abs(int(point)) >= 2**63:
+        raise ValueError
+    return int(point), (x, y, z), tuple(color)

@@ -70,14 +70,10 @@ def write_whole(model: "pycolmap.Reconstruction", folder: Path) -> None:
         for file in folder.glob("*.bin"):
             flush(file)
         stored_model = read_model(folder)
+        if (len(stored_model.images), len(stored_model.points)) != (model.num_reg_images(), model.num_points3D()):
+            raise ValueError("the model on the disk has fewer images or points")
     except (OSError, ValueError, RuntimeError) as error:  # InputError is a ValueError: what was written is cut.
-        raise _unwritten(folder) from error
+        fault = f"the model did not come whole onto the disk, which has {shutil.disk_usage(folder).free} bytes left"
+        raise InputError(f"cannot write {folder}: {fault}") from error
     finally:
         log.minloglevel = level
-    if (len(stored_model.images), len(stored_model.points)) != (model.num_reg_images(), model.num_points3D()):
-        raise _unwritten(folder)
-
-
-def _unwritten(folder: Path) -> InputError:
-    left = shutil.disk_usage(folder).free
-    return InputError(f"cannot write {folder}: the model did not come whole onto the disk, which has {left} bytes left")

@@ -17,14 +17,10 @@ from gsjax.scene import DepthFile
 from gsjax.scene.similarity import is_float32
 
 # For each `camera_model`, in capitals: COLMAP's model and the coefficients that it takes after fx, fy, cx, cy.
-_RADIAL_AND_TANGENTIAL = ("FULL_OPENCV", ("k1", "k2", "p1", "p2", "k3", "", "", ""))
+_RADIAL = ("PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 _MODELS = {
-    "PINHOLE": ("PINHOLE", ()),
-    "SIMPLE_PINHOLE": ("PINHOLE", ()),
-    "PERSPECTIVE": _RADIAL_AND_TANGENTIAL,
-    "SIMPLE_RADIAL": _RADIAL_AND_TANGENTIAL,
-    "RADIAL": _RADIAL_AND_TANGENTIAL,
-    "OPENCV": _RADIAL_AND_TANGENTIAL,
+    **dict.fromkeys(("PINHOLE", "SIMPLE_PINHOLE"), ("PINHOLE", ())),
+    **dict.fromkeys(_RADIAL, ("FULL_OPENCV", ("k1", "k2", "p1", "p2", "k3", "", "", ""))),
     "FULL_OPENCV": ("FULL_OPENCV", ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
     "OPENCV_FISHEYE": ("OPENCV_FISHEYE", ("k1", "k2", "k3", "k4")),
 }

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 TAG = 0x8825  # of the table of GPS in EXIF
-_LATITUDE_SIDE, _LATITUDE, _LONGITUDE_SIDE, _LONGITUDE, _ALTITUDE_SIDE, _ALTITUDE, _STATUS = 1, 2, 3, 4, 5, 6, 9
+_LATITUDE, _LONGITUDE, _ALTITUDE_SIDE, _ALTITUDE, _STATUS = 2, 4, 5, 6, 9
 _FARTHEST = 100_000.0  # metres above or below the sea, beyond which an altitude is an error
 
 
@@ -26,21 +26,16 @@ def read_fix(tags: Mapping[int, Any]) -> Fix | str | None:
         return None
     if str(tags.get(_STATUS, "A")).strip("\0 ").upper() == "V":
         return None
-    sides = {}
-    for name, tag, side, positive, negative, limit in (
-        ("latitude", _LATITUDE, _LATITUDE_SIDE, "N", "S", 90),
-        ("longitude", _LONGITUDE, _LONGITUDE_SIDE, "E", "W", 180),
-    ):
-        letter = _letter(tags.get(side))
-        degrees = _degrees(tags.get(tag))
-        if letter not in (positive, negative):
-            return f"its {name} does not say {positive} or {negative}"
+    angles = []
+    for name, tag, sides, limit in (("latitude", _LATITUDE, "NS", 90), ("longitude", _LONGITUDE, "EW", 180)):
+        letter, degrees = _letter(tags.get(tag - 1)), _degrees(tags.get(tag))  # The tag of the side comes before.
+        if letter not in tuple(sides):
+            return f"its {name} does not say {' or '.join(sides)}"
         if not abs(degrees) <= limit:  # Also of no number.
             return f"its {name} is no angle"
-        sides[name] = degrees if letter == positive else -degrees
-    if sides["latitude"] == 0 and sides["longitude"] == 0:
-        return None
-    return Fix(sides["latitude"], sides["longitude"], _altitude(tags))
+        angles.append(degrees if letter == sides[0] else -degrees)
+    latitude, longitude = angles
+    return Fix(latitude, longitude, _altitude(tags)) if latitude or longitude else None
 
 
 def _letter(side: Any) -> str:
