@@ -1,7 +1,6 @@
 """A folder that one process at a time works in."""
 
 import fcntl
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,16 +21,14 @@ def lock_folder(folder: str | Path) -> Iterator[None]:
         InputError: Another process has it, or it cannot be written.
     """
     try:
-        handle = os.open(Path(folder) / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        file = (Path(folder) / LOCK).open("a")
     except OSError as error:
         raise unwritable(folder, error) from error
-    try:
+    with file:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise InputError(f"{folder}: another process is at work in this folder; wait until it ends") from error
         except OSError:
             pass
         yield
-    finally:
-        os.close(handle)

@@ -2,6 +2,8 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -150,13 +152,11 @@ def _binary_rows(path: Path, name: str, data: bytes, start: int, count: int, dty
 
 
 def _ascii_rows(path: Path, name: str, data: bytes, start: int, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:
-    lines = []
-    while len(lines) < count and start < len(data):
-        end = data.find(b"\n", start)
-        line, start = (data[start:], len(data)) if end < 0 else (data[start:end], end + 1)
-        lines += [line] if line.strip() else []
+    body = BytesIO(data)
+    body.seek(start)
+    lines = islice((line for line in iter(body.readline, b"") if line.strip()), count)
     try:
-        return np.array([tuple(map(float, line.split())) for line in lines], dtype).reshape(count), start
+        return np.array([tuple(map(float, line.split())) for line in lines], dtype).reshape(count), body.tell()
     except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{path}: truncated or damaged, {count} ascii rows of {name!r} were promised") from error
 

@@ -207,12 +207,11 @@ def _least_median(fit: Fit, minimal: int, model: np.ndarray, world: np.ndarray) 
 
     Distances are horizontal where two photos suffice.
     """
-    axes = minimal
     random, every = np.random.default_rng(_SEED), np.arange(len(model))
     floor = _FLOOR * float(np.median(np.linalg.norm(world - np.median(world, axis=0), axis=1)))
 
     def distances(motion: _Motion) -> np.ndarray:
-        return np.linalg.norm((motion(model) - world)[:, :axes], axis=1)
+        return np.linalg.norm((motion(model) - world)[:, :minimal], axis=1)
 
     samples = [every] + [random.choice(every, minimal, replace=False) for _ in range(_TRIALS)]
     motions = [motion for rows in samples if (motion := fit(rows, model, world)) is not None]
