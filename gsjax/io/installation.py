@@ -161,9 +161,8 @@ def likely_device() -> str:
 def gpu_name() -> str | None:
     """The NVIDIA GPU that the system shows, whether jax can use it or not; None of none."""
     for file in sorted(Path("/proc/driver/nvidia/gpus").glob("*/information")):
-        for line in file.read_text(errors="replace").splitlines():
-            if line.startswith("Model:"):
-                return line.removeprefix("Model:").strip()
+        if model := re.search(r"^Model:(.*)$", file.read_text(errors="replace"), re.MULTILINE):
+            return model[1].strip()
     return "an NVIDIA GPU" if Path("/dev/nvidia0").exists() else None
 
 

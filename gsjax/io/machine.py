@@ -36,10 +36,8 @@ def versions() -> dict[str, str]:
     """Versions of Python and of the packages that are installed; in a git checkout, the commit of the source."""
     by_package = {"python": platform.python_version()}
     for package in PACKAGES:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             by_package[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
     commit = _commit()
     return by_package | {"commit": commit} if commit else by_package
 

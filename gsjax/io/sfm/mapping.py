@@ -239,18 +239,12 @@ def _self_calibrate(model) -> None:
 
 def _reasons(material: Material, geometries: Mapping[Pair, Any], models: list, model) -> dict[str, str]:
     """Return by name why each photo outside the model is not in it."""
-    matched = {photo for pair in geometries for photo in pair}
-    elsewhere = {photo: len(_registered(other)) for other in models for photo in _registered(other)}
-    reasons = {}
-    for photo in sorted(set(range(len(material.photos))) - _registered(model)):
-        if photo not in matched:
-            reason = "no match with any other photo"
-        elif photo in elsewhere:
-            reason = f"in a separate model of {elsewhere[photo]} photos"
-        else:
-            reason = "matched, but too little to be placed"
-        reasons[material.photos[photo].name] = reason
-    return reasons
+    reasons = dict.fromkeys(range(len(material.photos)), "no match with any other photo")
+    reasons |= {photo: "matched, but too little to be placed" for pair in geometries for photo in pair}
+    for other in models:
+        reasons |= dict.fromkeys(_registered(other), f"in a separate model of {other.num_reg_images()} photos")
+    inside = _registered(model)
+    return {material.photos[photo].name: reason for photo, reason in reasons.items() if photo not in inside}
 
 
 def _registered(model) -> set[int]:
