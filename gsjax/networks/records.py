@@ -13,6 +13,9 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.normals.axes import apply_axes, axis_signs
 
+FILE = Path(__file__).with_name("records.json")
+BACKGROUND = "background"  # a class
+
 
 @dataclass(frozen=True)
 class Size:
@@ -143,101 +146,14 @@ def read_record(
     return file.stem, config.parse(kind_of(data), data, where=str(file))
 
 
-IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-RESEARCH_ONLY = "weights for research, not for commercial use"
-
-NETWORKS: dict[str, NormalNetwork] = {
-    "moge2": NormalNetwork(
-        licence="MoGe-2: MIT, its DINOv2 part Apache-2.0",
-        size=Size("tokens", fit="stretch", multiple=14, tokens=1800),
-        normals=Output(("normal",), 1),
-        axes="opencv",
-        range="signed",
-        picture="image",
-        extra={"num_tokens": "tokens"},
-        confidence=Confidence(("mask",), "probability", 0.5, 2),
-    ),
-    "metric3d": NormalNetwork(
-        licence="Metric3D v2: code BSD-2-Clause, ONNX files tagged CC0; its authors ask commercial users to write",
-        size=Size("multiple", multiple=28, longest=1064, border=(124, 116, 104)),
-        normals=Output(("predicted_normal",), 1),
-        axes="opencv",
-        range="signed",
-        white=255.0,
-        picture="pixel_values",
-        confidence=Confidence(("normal_confidence",), "kappa", 45.0, 2),
-    ),
-    "omnidata": NormalNetwork(
-        licence=f"Omnidata v2: {RESEARCH_ONLY}",
-        size=Size("fixed", sides=(384, 384), border="reflect"),
-        normals=Output((), 0),
-        axes="opencv",
-        range="unit",
-    ),
-    "dsine": NormalNetwork(
-        licence=f"DSINE: Imperial College London, {RESEARCH_ONLY}, no redistribution",
-        size=Size("multiple", multiple=32),
-        normals=Output(("normal",), -1),
-        axes="dsine",
-        range="signed",
-        mean=IMAGENET_MEAN,
-        std=IMAGENET_STD,
-        extra={"intrins": "intrinsics"},
-        pixel_center=0.0,
-    ),
-}
-"""The networks for normals that are known by name; any other has a record of its own."""
-
-DEPTH_NETWORKS: dict[str, DepthNetwork] = {
-    "midas": DepthNetwork(
-        licence="MiDaS: MIT",
-        size=Size("multiple", fit="stretch", multiple=32, longest=384),
-        kind="disparity",
-        depth=Output((), 0),
-    ),
-    "depth_anything_v2": DepthNetwork(
-        licence="Depth Anything V2: the small model Apache-2.0, the others CC BY-NC 4.0 (not for commercial use)",
-        size=Size("multiple", fit="stretch", multiple=14, longest=686),
-        mean=IMAGENET_MEAN,
-        std=IMAGENET_STD,
-        kind="disparity",
-        depth=Output(("predicted_depth", "depth"), 0),
-    ),
-}
-"""The networks for depth that are known by name."""
-
-BACKGROUND = "background"
+def _named_records(kind: str, record: type[N]) -> dict[str, N]:
+    return {name: config.parse(record, data, where=name) for name, data in json_files.read(FILE)[kind].items()}
 
 
-def _u2net(licence: str, thing: str, bound: float = 0.5) -> MaskNetwork:
-    """A network of the shape of U2-Net, which gives the probability of one thing."""
-    size = Size("fixed", fit="stretch", sides=(320, 320))
-    return MaskNetwork(
-        licence=licence,
-        size=size,
-        mean=IMAGENET_MEAN,
-        std=IMAGENET_STD,
-        kind="probability",
-        output=Output((), 0),
-        classes=(thing,),
-        bound=bound,
-    )
-
-
-MASK_NETWORKS: dict[str, MaskNetwork] = {
-    "pphumanseg": MaskNetwork(
-        licence="PP-HumanSeg of OpenCV's model zoo: Apache-2.0",
-        size=Size("fixed", fit="stretch", sides=(192, 192)),
-        mean=(0.5, 0.5, 0.5),
-        std=(0.5, 0.5, 0.5),
-        kind="scores",
-        output=Output((), 0),
-        classes=(BACKGROUND, "person"),
-    ),
-    "u2net": _u2net("U2-Net: Apache-2.0", "foreground"),
-    "skyseg": _u2net("Sky-Segmentation-and-Post-processing: MIT", "sky", 0.125),
-}
-"""The networks for masks that are known by name."""
+# The networks that are known by name, each as a JSON file of a user would describe it.
+NETWORKS = _named_records("normals", NormalNetwork)
+DEPTH_NETWORKS = _named_records("depth", DepthNetwork)
+MASK_NETWORKS = _named_records("masks", MaskNetwork)
 
 
 class CanvasFit(NamedTuple):

@@ -14,7 +14,7 @@ from gsjax import cli, pipeline
 from gsjax.errors import InputError
 from gsjax.io.sfm import features
 from gsjax.io.sfm.source_photos import list_source_photos
-from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, MASK_NETWORKS
+from gsjax.networks.records import MASK_NETWORKS
 
 WIDTH, HEIGHT = 60, 40
 CLASSES = ("person", "tree", "sky")  # What a pixel's strongest channel says.
@@ -134,7 +134,7 @@ def test_every_known_network_is_fed_and_read_as_its_record_says(tmp_path, networ
         red = graph.add("Unsqueeze", graph.channel(image, 0), graph.constant([1], np.int64))  # -1..1
         graph.output(graph.add("Concat", graph.affine(red, -1.0), red, axis=1), "y")
     else:
-        colors = graph.affine(image, IMAGENET_STD, IMAGENET_MEAN)
+        colors = graph.affine(image, record.std, record.mean)
         graph.output(graph.add("Unsqueeze", graph.channel(colors, 0), graph.constant([1], np.int64)), "1959")
     photos = write_photos(tmp_path / "photos")
     weights = graph.save(tmp_path / "w.onnx")

@@ -17,7 +17,7 @@ from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.io.normal_maps import normal_maps
 from gsjax.io.scenes import load_scene
-from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, NETWORKS
+from gsjax.networks.records import NETWORKS
 from gsjax.normals.axes import axis_signs
 
 WIDTH, HEIGHT = 60, 40
@@ -87,7 +87,7 @@ def contract(network: str, file) -> Path:
         graph.output(graph.add("Relu", graph.input("input.1", (1, 3, 384, 384))), "1234")
     else:
         image, K = graph.input("img"), graph.input("intrins", (1, 3, 3))
-        colors = graph.affine(image, IMAGENET_STD, IMAGENET_MEAN)
+        colors = graph.affine(image, NETWORKS["dsine"].std, NETWORKS["dsine"].mean)
         graph.output(graph.add("Reshape", K, graph.constant([1, 9], np.int64)), "coarse")
         graph.output(graph.affine(colors, 2.0, -1.0), "final")
     return graph.save(file)
