@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -67,6 +68,12 @@ def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
+def mesh_of_open3d(surface: Any) -> Mesh:
+    """A mesh of Open3D that has colours, as ours."""
+    colors = np.clip(np.round(np.asarray(surface.vertex_colors) * 255), 0, 255).astype(np.uint8)
+    return Mesh(np.asarray(surface.vertices, np.float32), np.asarray(surface.triangles, np.int32), colors)
+
+
 def _merge_vertices(mesh: Mesh) -> Mesh:
     """Vertices at exactly the same place become one, the first; its colour stays."""
     order = np.lexsort(mesh.vertices.T)
@@ -125,9 +132,7 @@ def _decimate(mesh: Mesh, max_faces: int | None) -> Mesh:
     surface.vertex_colors = o3d.utility.Vector3dVector(mesh.colors / 255.0)
     surface.remove_unreferenced_vertices()
     fewer = surface.simplify_quadric_decimation(max_faces)
-    colors = np.clip(np.round(np.asarray(fewer.vertex_colors) * 255), 0, 255).astype(np.uint8)
-    result = Mesh(np.asarray(fewer.vertices, np.float32), np.asarray(fewer.triangles, np.int32), colors)
-    return _manifold(_distinct_faces(result)[0])
+    return _manifold(_distinct_faces(mesh_of_open3d(fewer))[0])
 
 
 def _without_unused_vertices(mesh: Mesh) -> Mesh:

@@ -19,6 +19,8 @@ MIN_LOG_SCALE = -18.420680743952367  # log 1e-8
 MAX_DISTANCE = 1e4  # standard deviations
 TINY = 1e-30  # A squared inverse deviation under this belongs to a Gaussian without bounds.
 HALVINGS = 6  # Of the step of a march that holds the crossing.
+SAMPLES = 21  # densities evaluated along a ray (SuGaR)
+SIGMA_RANGE = 3.0  # half length of the march, standard deviations of the hit Gaussian along the ray (SuGaR)
 
 
 @jax.tree_util.register_dataclass
@@ -111,25 +113,16 @@ def _contributions(offsets: Array, nearby: Kernels) -> Array:
     return nearby.opacities * jnp.exp(-0.5 * squared)
 
 
-@partial(jax.jit, static_argnames="samples")
+@jax.jit
 def march_rays(
-    field: Kernels,
-    hits: Array,
-    directions: Array,
-    neighbor_ids: Array,
-    *,
-    level: float,
-    samples: int,
-    sigma_range: float,
+    field: Kernels, hits: Array, directions: Array, neighbor_ids: Array, level: float
 ) -> tuple[Array, Array, Array]:
     """`march_ray` for `[R, 3]` hits and directions with `[R, k]` neighbour ids, the hit Gaussian first."""
-    march = partial(march_ray, level=level, samples=samples, sigma_range=sigma_range)
+    march = partial(march_ray, level=level)
     return jax.vmap(lambda hit, direction, ids: march(take(field, ids), hit, direction))(hits, directions, neighbor_ids)
 
 
-def march_ray(
-    nearby: Kernels, hit: Array, direction: Array, *, level: float, samples: int, sigma_range: float
-) -> tuple[Array, Array, Array]:
+def march_ray(nearby: Kernels, hit: Array, direction: Array, level: float) -> tuple[Array, Array, Array]:
     """The first crossing of the level along one ray, from outside to inside.
 
     Args:
@@ -137,8 +130,6 @@ def march_ray(
         hit: `[3]` world point; the march is centred near it, where the hit Gaussian is densest on the ray.
         direction: `[3]` unit, away from the camera.
         level: Density of the surface.
-        samples: Number of evenly spaced densities.
-        sigma_range: Half length of the march in standard deviations of the hit Gaussian along the ray.
 
     Returns:
         Point `[3]`, unit outward normal `[3]`, and whether there is a crossing; without one, the point and the normal
@@ -150,10 +141,10 @@ def march_ray(
         # Overlapping Gaussians add up beyond 1; opacity does not.
         return jnp.minimum(profile_density(t, profile), 1.0)
 
-    reach = sigma_range * deviation_along(direction, take(nearby, 0))
+    reach = SIGMA_RANGE * deviation_along(direction, take(nearby, 0))
     # A sample on the peak cannot step over a Gaussian that is thinner than the spacing of the samples.
     center = jnp.clip(profile.peaks[0], -reach, reach)
-    steps = center + jnp.linspace(-1.0, 1.0, samples, dtype=hit.dtype) * reach
+    steps = center + jnp.linspace(-1.0, 1.0, SAMPLES, dtype=hit.dtype) * reach
     inside = jax.vmap(density_at)(steps) > level
     first = jnp.argmax(inside)
     crossed = inside[first] & ~inside[0]

@@ -7,7 +7,7 @@ offset and its inward normals put right).
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -17,58 +17,46 @@ from gsjax import gaussians as gs
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field
-from gsjax.meshing.mesh_method import Method, SurfaceSamples, poisson_through
+from gsjax.meshing.mesh_method import Method, SurfaceSamples, typical_scale
 from gsjax.meshing.neighborhood import Neighborhood
-from gsjax.meshing.poisson import PoissonOptions
+from gsjax.meshing.poisson import Trim, reconstruct
+from gsjax.meshing.regions import Region
 from gsjax.rendering.gallery import Picture
 from gsjax.scene import cameras as cams
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
+from gsjax.scene.meshes import Mesh
 
 PIXELS_PER_POINT = 8  # Photos of so many pixels in all bear one surface point.
 FEWEST_POINTS = 200_000
+RIM = 0.05  # Of the region's, or its inner box's, longest side: points that far outside shape the surface inside.
 QUIET = 3.0  # Seconds of marching that need no bar.
 # SuGaR's numbers.
+LEVEL = 0.3  # density of the surface, or 0.1 or 0.5
+MOST_POINTS = 10_000_000
 OVERSAMPLING = 2.0  # rays marched per point wanted; what finds too many is cut back at random
 NEIGHBORS = 16  # Gaussians that make the density around a ray, the one that was hit among them
-SAMPLES = 21  # densities evaluated along a ray
-SIGMA_RANGE = 3.0  # half length of the march, standard deviations of the hit Gaussian along the ray
 MIN_OPACITY = 0.5  # Gaussians up to this make no density, unless fewer than `NEIGHBORS` would remain
 MIN_ALPHA = 0.5  # a pixel covered less shows no surface
 CHUNK = 16_384  # rays marched at once: a bound of the memory, results do not depend on it
 
 
-@dataclass(frozen=True)
-class LevelSetOptions:
-    """The choices of the caller; the defaults are SuGaR's at full scale, `options_for` suits them to small photos."""
-
-    level: float = 0.3  # density of the surface; SuGaR takes 0.1, 0.3 or 0.5
-    num_points: int = 10_000_000  # most points, over all views
-
-
-def options_for(cameras: Sequence[Camera]) -> LevelSetOptions:
-    """SuGaR's numbers with as many points as the photos bear: an eighth of their pixels, 200,000 to 10 million."""
+def points_for(cameras: Sequence[Camera]) -> int:
+    """As many points as the photos bear: an eighth of their pixels, 200,000 to 10 million."""
     pixels = sum(camera.width * camera.height for camera in cameras)
-    full = LevelSetOptions()
-    return LevelSetOptions(num_points=int(np.clip(pixels // PIXELS_PER_POINT, FEWEST_POINTS, full.num_points)))
+    return int(np.clip(pixels // PIXELS_PER_POINT, FEWEST_POINTS, MOST_POINTS))
 
 
-@dataclass(frozen=True)
-class SurfacePoints:
-    """P oriented, coloured points on the level set, and how many rays it took to find them."""
+class SurfacePoints(NamedTuple):
+    """P oriented, coloured points on the level set."""
 
     points: np.ndarray  # [P, 3] float32 world
     normals: np.ndarray  # [P, 3] float32 unit, world, outward: towards the camera that saw the point
     colors: np.ndarray  # [P, 3] uint8 sRGB
-    rays: int  # marched
-    crossings: int  # rays that crossed the level; a random part of them is kept where there are more than requested
-    flipped: int  # of the crossings, those whose density gradient faced away from the camera
-    kernels: int  # Gaussians that made the density, after the cull by opacity
-
-    @property
-    def crossing_share(self) -> float:
-        """Share of rays that met the level; under 0.2 the Gaussians are too soft or too thin for it."""
-        return self.crossings / self.rays
+    # `kernels`: Gaussians that made the density, after the cull by opacity; `rays`: marched; `crossing_share`: of the
+    # rays, those that crossed the level, under 0.2 where Gaussians are too soft or too thin for it; `flipped_share`: of
+    # the crossings, those whose density gradient faced away from the camera; `points`: a random part of the crossings.
+    report: dict
 
 
 @dataclass(frozen=True)
@@ -85,46 +73,47 @@ def surface_points(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
     pictures: Iterable[Picture],
-    options: LevelSetOptions | None = None,
+    *,
+    level: float = LEVEL,
+    most: int | None = None,
 ) -> SurfacePoints:
-    """At most `options.num_points` points of the level set {d = level} seen by the cameras, with outward normals.
+    """At most so many points of the level set {d = level} seen by the cameras, with outward normals.
 
     The pictures, one a camera in order, are of these Gaussians, with owners; they are read one by one. Colours best
-    come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say nothing. The
-    default options are `options_for` these cameras.
+    come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say nothing. By
+    default there are as many points as `points_for` these cameras.
 
     Raises:
         InputError: A picture has no owners, no pixel is opaque, no Gaussian is there, or no ray crosses the level.
     """
-    options = options_for(cameras) if options is None else options
+    most = points_for(cameras) if most is None else most
     rng = np.random.default_rng(0)
     ids = opaque_ids(gaussians)
-    per_view = options.num_points // max(len(cameras), 1) + 1
+    per_view = most // max(len(cameras), 1) + 1
     place = np.full(gaussians.num_gaussians + 1, -1, np.int32)  # Of each Gaussian among the opaque ones; -1 stays -1.
     place[ids] = np.arange(len(ids))
     rays = _draw_rays(cameras, pictures, place, round(OVERSAMPLING * per_view), rng)
 
     opaque = gs.take(gaussians, ids)
-    points, normals, crossed = _march(opaque, rays, options.level)
+    points, normals, crossed = _march(opaque, rays, level)
     ids = np.flatnonzero(crossed)
     if not len(ids):
         raise NoSurfaceError(
-            f"the level set is empty: none of {len(crossed)} rays crosses density {options.level} "
+            f"the level set is empty: none of {len(crossed)} rays crosses density {level} "
             f"({opaque.num_gaussians} of {gaussians.num_gaussians} Gaussians kept); train longer or lower the level"
         )
     # Density grows inwards, so that its gradient is turned about; and a surface that a camera sees faces that camera.
     away = np.sum(normals * rays.directions, axis=-1) > 0
     normals[away] *= -1
-    sample = np.sort(rng.choice(ids, min(options.num_points, len(ids)), replace=False))
-    return SurfacePoints(
-        points=points[sample],
-        normals=normals[sample],
-        colors=rays.colors[sample],
-        rays=len(crossed),
-        crossings=len(ids),
-        flipped=int(away[ids].sum()),
-        kernels=opaque.num_gaussians,
-    )
+    sample = np.sort(rng.choice(ids, min(most, len(ids)), replace=False))
+    report = {
+        "kernels": opaque.num_gaussians,
+        "rays": len(crossed),
+        "crossing_share": len(ids) / len(crossed),
+        "flipped_share": int(away[ids].sum()) / len(ids),
+        "points": len(sample),
+    }
+    return SurfacePoints(points[sample], normals[sample], rays.colors[sample], report)
 
 
 def opaque_ids(gaussians: Gaussians) -> np.ndarray:
@@ -192,33 +181,35 @@ def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, rng: np
 def _march(gaussians: Gaussians, rays: Rays, level: float) -> tuple[np.ndarray, ...]:
     """Points, outward normals and whether there is a crossing, of every ray, chunk by chunk."""
     nearby = Neighborhood(gaussians, NEIGHBORS)
-    how = {"level": level, "samples": SAMPLES, "sigma_range": SIGMA_RANGE}
-    march = partial(density_field.march_rays, density_field.kernels(gaussians), **how)
+    field = density_field.kernels(gaussians)
     total = len(rays.hits)
     crossings = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32), np.empty(total, bool)
     for start in tqdm(range(0, total, CHUNK), desc="level set", unit="chunk", delay=QUIET):
         # The last chunk is padded with repetitions, so that all have one length and one compilation.
         ids = np.minimum(np.arange(start, start + CHUNK), total - 1)
         around = nearby.of(rays.hits[ids], rays.owners[ids])
-        part = jax.device_get(march(rays.hits[ids], rays.directions[ids], around))
+        part = jax.device_get(density_field.march_rays(field, rays.hits[ids], rays.directions[ids], around, level))
         for whole, values in zip(crossings, part, strict=True):
             whole[start : start + CHUNK] = values[: total - start]
     return crossings
 
 
-def level_set_poisson(options: LevelSetOptions | None = None, reconstruction: PoissonOptions | None = None) -> Method:
-    """Return the method; its pictures need owners. Options are by default `options_for` the cameras, and Poisson's."""
+def level_set_poisson(
+    *, level: float = LEVEL, most: int | None = None, depth: int | None = None, trim: Trim | None = None
+) -> Method:
+    """Return the method: `surface_points` of the level, at most so many, and `poisson.reconstruct` through them.
+
+    Its pictures need owners.
+    """
 
     def from_level_set(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
-        surface = surface_points(gaussians, cameras, pictures, options)
-        report = {
-            "kernels": surface.kernels,
-            "rays": surface.rays,
-            "crossing_share": surface.crossing_share,
-            "flipped_share": surface.flipped / surface.crossings,
-            "points": len(surface.points),
-        }
-        build = poisson_through(gaussians, surface.points, surface.normals, surface.colors, reconstruction)
-        return SurfaceSamples(surface.points, build, report)
+        points, normals, colors, report = surface_points(gaussians, cameras, pictures, level=level, most=most)
+
+        def build(region: Region) -> tuple[Mesh, dict]:
+            near = region.grown(RIM * (region.without or region.box).longest).contains(points)
+            cell = typical_scale(gaussians, region)
+            return reconstruct(points[near], normals[near], colors[near], depth=depth, trim=trim, smallest_cell=cell)
+
+        return SurfaceSamples(points, build, report)
 
     return from_level_set

@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
 from functools import partial
 from typing import NamedTuple
 
@@ -12,15 +11,10 @@ import numpy as np
 
 from gsjax import gaussians as gs
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import poisson
-from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.regions import Region
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh
-
-CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their bumps, not the surface.
-RIM = 0.05  # Of the region's, or its inner box's, longest side: points that far outside shape the surface inside.
 
 
 class SurfaceSamples(NamedTuple):
@@ -46,23 +40,3 @@ def typical_scale(gaussians: Gaussians, region: Region) -> float:
     largest = np.asarray(gs.scales(gaussians)).max(axis=1)
     usable = (np.asarray(gaussians.logit_opacities) > 0) & region.contains(np.asarray(gaussians.means))
     return float(np.median(largest[usable] if usable.any() else largest))
-
-
-def poisson_through(
-    gaussians: Gaussians,
-    points: np.ndarray,
-    normals: np.ndarray,
-    colors: np.ndarray,
-    options: PoissonOptions | None,
-) -> Callable[[Region], tuple[Mesh, dict]]:
-    """A method's `build` from points, outward normals and colours, each `[P, 3]`."""
-
-    def build(region: Region) -> tuple[Mesh, dict]:
-        is_near = region.grown(RIM * (region.without or region.box).longest).contains(points)
-        cell = CELL_PER_SCALE * typical_scale(gaussians, region)
-        mesh, report = poisson.reconstruct(
-            points[is_near], normals[is_near], colors[is_near], options, smallest_cell=cell
-        )
-        return mesh, asdict(report)
-
-    return build

@@ -17,15 +17,12 @@ from gsjax.io.machine import require_memory
 from gsjax.scene.similarity import Similarity
 
 if TYPE_CHECKING:
-    from gsjax.meshing.level_set import LevelSetOptions
     from gsjax.meshing.mesh_method import Method
-    from gsjax.meshing.poisson import PoissonOptions
     from gsjax.meshing.tsdf import NormalsOfDepth
     from gsjax.rendering.coarse_depths import CoarseDepth
 
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
-LEVEL = 0.3
 FEWEST_TRIED = 20_000  # points of the surface by which `auto` judges a method
 AUTO, USUAL = "auto", "poisson"  # the latter where nothing can judge the candidates
 
@@ -61,26 +58,10 @@ class MethodOptions:
         return frozenset(each.name for each in fields(self) if getattr(self, each.name) is not None)
 
     @property
-    def sampling(self) -> LevelSetOptions:
-        """The options of the level set's sampling."""
-        from gsjax.meshing.level_set import LevelSetOptions
-
-        full = LevelSetOptions(level=LEVEL if self.level is None else self.level)
-        return full if self.points is None else replace(full, num_points=self.points)
-
-    @property
-    def reconstruction(self) -> PoissonOptions:
-        """The options of the Poisson reconstruction."""
-        from gsjax.meshing.poisson import PoissonOptions, at_quantile
-
-        trim = None if self.trim_quantile is None else at_quantile(self.trim_quantile)
-        return PoissonOptions(self.depth, trim)
-
-    @property
     def for_comparison(self) -> MethodOptions:
         """The options of a comparison of methods: a tenth of the points, at least `FEWEST_TRIED` if so many exist."""
-        points = self.sampling.num_points
-        return replace(self, points=max(points // 10, min(points, FEWEST_TRIED)))
+        assert self.points is not None, "the request has a number of points"
+        return replace(self, points=max(self.points // 10, min(self.points, FEWEST_TRIED)))
 
     def to_local(self, similarity: Similarity, extent: np.ndarray) -> MethodOptions:
         """Return the options with lengths in local coordinates, by world points `[P, 3]` that span what is meshed.
@@ -119,9 +100,12 @@ class MeshMethod:
 
 
 def _poisson(options: MethodOptions, *_: object) -> Method:
-    from gsjax.meshing.level_set import level_set_poisson
+    from gsjax.meshing.level_set import LEVEL, level_set_poisson
+    from gsjax.meshing.poisson import at_quantile
 
-    return level_set_poisson(options.sampling, options.reconstruction)
+    level = LEVEL if options.level is None else options.level
+    trim = None if options.trim_quantile is None else at_quantile(options.trim_quantile)
+    return level_set_poisson(level=level, most=options.points, depth=options.depth, trim=trim)
 
 
 def _tsdf(options: MethodOptions, depths: DepthEvidence, ids: Sequence[int]) -> Method:

@@ -6,13 +6,14 @@ vertex: its distance from the nearest point, and the reconstruction's own densit
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.errors import NoSurfaceError
 from gsjax.io.packages import require
+from gsjax.meshing.cleaning import mesh_of_open3d
 from gsjax.meshing.connectivity import connected_labels, edge_table
 from gsjax.scene.meshes import Mesh
 
@@ -47,63 +48,41 @@ class Cut(NamedTuple):
 Trim = Callable[[Support], Cut]
 
 
-@dataclass(frozen=True)
-class PoissonReport:
-    """What was chosen, and what it led to."""
-
-    points_used: int  # in the region and its rim, after the outliers went
-    depth: int
-    cell: float  # side of the finest, scene units
-    trim_quantile: float  # share of the vertices cut for their density
-    trim_distance: float  # beyond which vertices were cut, scene units
-
-
-@dataclass(frozen=True)
-class PoissonOptions:
-    """The choices of the caller."""
-
-    depth: int | None = None  # of the octree; None: cells of twice the points' spacing or what the caller requests
-    trim: Trim | None = None  # None: `adaptive`
-
-
 def reconstruct(
     points: np.ndarray,
     normals: np.ndarray,
     colors: np.ndarray,
-    options: PoissonOptions | None = None,
     *,
+    depth: int | None = None,
+    trim: Trim | None = None,
     smallest_cell: float = 0.0,
-) -> tuple[Mesh, PoissonReport]:
+) -> tuple[Mesh, dict]:
     """The surface through oriented points, cut off where it is only a guess.
 
     Args:
         points: `[P, 3]` world positions.
         normals: `[P, 3]` unit, outward.
         colors: `[P, 3]` uint8 sRGB.
-        options: The numbers. None: the defaults.
-        smallest_cell: Where the depth is chosen, cells are no finer than this, scene units.
+        depth: Of the octree. None: cells of twice the points' spacing, but no finer than `smallest_cell`.
+        trim: What is cut off. None: `adaptive`.
+        smallest_cell: Scene units; cells smaller than the Gaussians reproduce their bumps, not the surface.
 
     Returns:
-        An oriented mesh with the points' colours, counter-clockwise seen from outside, and what was chosen.
+        An oriented mesh with the points' colours, counter-clockwise seen from outside; and a report: `points_used` in
+        the region and its rim after the outliers went, `depth`, `cell`, the side of the finest, `trim_quantile`, the
+        share of the vertices cut for their density, and `trim_distance`, beyond which vertices were cut, scene units.
 
     Raises:
         NoSurfaceError: Fewer than 100 points, or nothing is left after trimming.
     """
-    options = PoissonOptions() if options is None else options
     o3d = require("open3d")
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
-    cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
-    cloud.colors = o3d.utility.Vector3dVector(colors / 255.0)
-    if len(points) > OUTLIER_NEIGHBORS:
-        cloud = cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
+    cloud = _without_outliers(points, normals, colors)
     inliers = np.asarray(cloud.points)
     if len(inliers) < MIN_POINTS:
         raise NoSurfaceError(f"no mesh: {len(inliers)} surface points, Poisson reconstruction needs {MIN_POINTS}")
-    gap, extent = spacing(inliers), float(np.ptp(inliers, axis=0).max())
-    if options.depth is None:
+    gap, extent, scale = spacing(inliers), float(np.ptp(inliers, axis=0).max()), SCALE
+    if depth is None:
         depth, scale = octree_for_cell(extent, max(2 * gap, smallest_cell), SCALE)
-    else:
-        depth, scale = options.depth, SCALE
     cell = scale * extent / 2**depth
     far = max(TRIM_SPACINGS * gap, TRIM_CELLS * cell)
 
@@ -113,16 +92,23 @@ def reconstruct(
         )
     distances = np.asarray(KDTree(inliers).query(np.asarray(surface.vertices), workers=-1)[0])
     edges = edge_table(np.asarray(surface.triangles)).pairs
-    cut = (options.trim or adaptive)(Support(distances, np.asarray(densities), edges, near=far / 2, far=far))
+    cut = (trim or adaptive)(Support(distances, np.asarray(densities), edges, near=far / 2, far=far))
     surface.remove_vertices_by_mask(cut.vertices)
     if not len(surface.triangles):
         raise NoSurfaceError(f"no mesh: no Poisson vertex is supported by the {len(inliers)} points (within {far:.4g})")
-    mesh = Mesh(
-        vertices=np.asarray(surface.vertices, np.float32),
-        faces=np.asarray(surface.triangles, np.int32),
-        colors=np.clip(np.round(np.asarray(surface.vertex_colors) * 255), 0, 255).astype(np.uint8),
-    )
-    return mesh, PoissonReport(len(inliers), depth, cell, cut.quantile, float(far))
+    report = {"points_used": len(inliers), "depth": depth, "cell": cell}
+    return mesh_of_open3d(surface), report | {"trim_quantile": cut.quantile, "trim_distance": float(far)}
+
+
+def _without_outliers(points: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> Any:
+    """A point cloud of Open3D."""
+    o3d = require("open3d")
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
+    cloud.colors = o3d.utility.Vector3dVector(colors / 255.0)
+    if len(points) > OUTLIER_NEIGHBORS:
+        cloud = cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
+    return cloud
 
 
 def spacing(points: np.ndarray) -> float:

@@ -149,7 +149,7 @@ def _to_local(request: Request, result: Result) -> Request:
     options, crop = request.options.to_local(similarity, extent), request.crop.to_local(similarity)
     crop.require_reached(result.gaussians, similarity)
     if options.points is None:
-        options = replace(options, points=level_set.options_for(result.cameras).num_points)
+        options = replace(options, points=level_set.points_for(result.cameras))
     return request._replace(options=options, crop=crop)
 
 

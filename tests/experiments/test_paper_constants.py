@@ -17,8 +17,7 @@ from gsjax import config, pipeline
 from gsjax.binding import refinement
 from gsjax.binding.refinement import PRESETS as REFINEMENTS
 from gsjax.binding.refinement import Refinement
-from gsjax.meshing import level_set, poisson
-from gsjax.meshing.level_set import LevelSetOptions
+from gsjax.meshing import density_field, level_set, poisson
 from gsjax.presets import PRESETS, REFINED_BY, preset
 from gsjax.settings import COLOR_RATE, MEANS_FINAL, OPACITY_RATE, Density, Rates, Settings
 from gsjax.training.densification import gradient_driven
@@ -163,7 +162,7 @@ CONSTANTS = (
     Constant("vertices' rate at the first step and after 15,000", (1.6e-4, 1.6e-5), "SuGaR, refine.py",
              lambda: vertex_rates("paper_6k_15k")),
     Constant("surface level, points, neighbours, samples", (0.3, 10_000_000, 16, 21), "SuGaR, coarse_mesh.py",
-             lambda: (LevelSetOptions().level, LevelSetOptions().num_points, level_set.NEIGHBORS, level_set.SAMPLES)),
+             lambda: (level_set.LEVEL, level_set.MOST_POINTS, level_set.NEIGHBORS, density_field.SAMPLES)),
     Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: level_set.MIN_OPACITY),
     Constant("outliers and scale of Poisson", (20, 20.0, 1.1), "SuGaR, coarse_mesh.py; Open3D's default",
              lambda: (poisson.OUTLIER_NEIGHBORS, poisson.OUTLIER_RATIO, poisson.SCALE)),

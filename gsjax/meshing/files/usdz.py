@@ -7,6 +7,8 @@ photos hold their light already.
 
 import zipfile
 from io import BytesIO
+from pathlib import Path
+from string import Template
 
 import numpy as np
 
@@ -17,70 +19,7 @@ from gsjax.scene.georeference import Place
 ALIGNMENT = 64
 _LOCAL_HEADER = 30  # bytes of a ZIP before a file's name
 _PADDING_ID = 0x1986  # Of the extra field that the padding is, and what Pixar's writer names it.
-_SCENE = """#usda 1.0
-(
-    defaultPrim = "Scene"
-    metersPerUnit = 1
-    upAxis = "Y"
-)
-
-def Xform "Scene" (
-    kind = "component"
-)
-{{
-    double3 xformOp:translate = ({offset})
-    uniform token[] xformOpOrder = ["xformOp:translate"]
-
-    def Mesh "Surface" (
-        prepend apiSchemas = ["MaterialBindingAPI"]
-    )
-    {{
-        uniform bool doubleSided = 1
-        float3[] extent = [{extent}]
-        int[] faceVertexCounts = [{counts}]
-        int[] faceVertexIndices = [{faces}]
-        rel material:binding = </Scene/Material>
-        point3f[] points = [{points}]
-        texCoord2f[] primvars:st = [{places}] (
-            interpolation = "vertex"
-        )
-        uniform token subdivisionScheme = "none"
-    }}
-
-    def Material "Material"
-    {{
-        token outputs:surface.connect = </Scene/Material/Surface.outputs:surface>
-
-        def Shader "Surface"
-        {{
-            uniform token info:id = "UsdPreviewSurface"
-            color3f inputs:diffuseColor = (0, 0, 0)
-            color3f inputs:emissiveColor.connect = </Scene/Material/Texture.outputs:rgb>
-            float inputs:metallic = 0
-            float inputs:roughness = 1
-            token outputs:surface
-        }}
-
-        def Shader "Places"
-        {{
-            uniform token info:id = "UsdPrimvarReader_float2"
-            string inputs:varname = "st"
-            float2 outputs:result
-        }}
-
-        def Shader "Texture"
-        {{
-            uniform token info:id = "UsdUVTexture"
-            asset inputs:file = @texture.png@
-            token inputs:sourceColorSpace = "sRGB"
-            float2 inputs:st.connect = </Scene/Material/Places.outputs:result>
-            token inputs:wrapS = "clamp"
-            token inputs:wrapT = "clamp"
-            float3 outputs:rgb
-        }}
-    }}
-}}
-"""
+SCENE = Path(__file__).with_name("scene.usda")  # a `string.Template`
 
 
 def encode_textured(textured: TexturedMesh, _: Place) -> bytes:
@@ -91,7 +30,7 @@ def encode_textured(textured: TexturedMesh, _: Place) -> bytes:
     Image.fromarray(np.ascontiguousarray(textured.texture)).save(png, "PNG")
     vertices, offset = about_offset(textured.mesh.vertices[atlas.vertices])
     places = atlas.uvs * [1.0, -1.0] + [0.0, 1.0]
-    scene = _SCENE.format(
+    scene = Template(SCENE.read_text("utf-8")).substitute(
         offset=", ".join(f"{value:.17g}" for value in offset),
         extent=_tuples(np.stack([vertices.min(axis=0), vertices.max(axis=0)])),
         counts=", ".join(["3"] * len(atlas.faces)),

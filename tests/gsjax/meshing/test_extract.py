@@ -4,21 +4,19 @@ import pytest
 from gsjax.errors import InputError
 from gsjax.meshing import regions
 from gsjax.meshing.extract import cut_to_region, extract_mesh
-from gsjax.meshing.level_set import LevelSetOptions, level_set_poisson
+from gsjax.meshing.level_set import level_set_poisson
 from gsjax.meshing.pictures import depth_of_mesh
-from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.regions import Box, Region
 from gsjax.scene.meshes import Mesh, face_normals, signed_volume
-
-
-def through(num_points, depth=None):
-    return level_set_poisson(LevelSetOptions(num_points=num_points), PoissonOptions(depth=depth))
 
 
 def test_ball_becomes_one_closed_outward_sphere_and_an_empty_region_is_said(ball):
     near, far = Box((-2, -2, -2), (2, 2, 2)), Box((-9, -9, -9), (9, 9, 9))
     mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(12_000), regions=lambda _: regions.fixed_boxes(near, far)
+        ball.gaussians,
+        *ball.views,
+        method=level_set_poisson(most=12_000),
+        regions=lambda _: regions.fixed_boxes(near, far),
     )
     properties = report["topology"]
     assert properties["components"] == 1
@@ -36,7 +34,10 @@ def test_ball_becomes_one_closed_outward_sphere_and_an_empty_region_is_said(ball
 def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
     near, far = Box((-2, -2, 0), (2, 2, 2)), Box((-2, -2, -2), (2, 2, 2))
     mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(8_000, depth=6), regions=lambda _: regions.fixed_boxes(near, far)
+        ball.gaussians,
+        *ball.views,
+        method=level_set_poisson(most=8_000, depth=6),
+        regions=lambda _: regions.fixed_boxes(near, far),
     )
     assert report["topology"]["components"] == 2
     assert report["foreground"]["points_seen"] + report["background"]["points_seen"] == report["seen"]["points"]

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,7 +10,6 @@ from small_scenes import discs, one_gaussian
 from gsjax import gaussians as gs
 from gsjax.errors import InputError
 from gsjax.meshing import density_field, level_set
-from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.neighborhood import nearest_table
 from gsjax.rendering import gallery
 from gsjax.scene import cameras
@@ -27,7 +25,7 @@ def march(field, hit, direction, level=0.3):
     return march_ray(field, jnp.asarray(hit, jnp.float32), jnp.asarray(direction), level=level)
 
 
-march_ray = jax.jit(partial(density_field.march_ray, samples=21, sigma_range=3.0))
+march_ray = jax.jit(density_field.march_ray)
 
 
 @pytest.mark.parametrize(("level", "off_peak"), [(0.1, -0.1), (0.3, 0.0), (0.5, 0.15)])
@@ -65,17 +63,17 @@ def test_extreme_kernels_march_to_finite_numbers(scales):
 
 
 def test_ball_gives_points_on_the_sphere_with_outward_normals(ball):
-    surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=5000))
+    surface = level_set.surface_points(ball.gaussians, *ball.views, most=5000)
     radii = np.linalg.norm(surface.points, axis=1)
     # A disc of thickness s meets the level within s sqrt(2 ln(sum / level)) of its plane.
     assert np.abs(radii - 1).max() < 0.02
     assert np.quantile(np.sum(surface.normals * surface.points / radii[:, None], -1), 0.01) > 0.9
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-5)
-    assert surface.crossing_share > 0.9
-    assert surface.flipped < 0.01 * surface.crossings
+    assert surface.report["crossing_share"] > 0.9
+    assert surface.report["flipped_share"] < 0.01
     assert np.all(surface.colors == [255, 128, 0])
     camera, pictures = ball.cameras[3], list(ball.pictures)[3:4]
-    surface = level_set.surface_points(ball.gaussians, [camera], pictures, LevelSetOptions(num_points=500))
+    surface = level_set.surface_points(ball.gaussians, [camera], pictures, most=500)
     points = surface.points
     assert np.all(np.sum(surface.normals * (np.asarray(cameras.center(camera)) - points), -1) >= 0)
     landed = jax.vmap(cameras.project, (0, None))(points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3], camera)
@@ -83,11 +81,11 @@ def test_ball_gives_points_on_the_sphere_with_outward_normals(ball):
 
 
 def test_same_points_whatever_the_chunk(ball, monkeypatch):
-    a = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000))
+    a = level_set.surface_points(ball.gaussians, *ball.views, most=1000)
     monkeypatch.setattr(level_set, "CHUNK", 700)
-    b = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000))
+    b = level_set.surface_points(ball.gaussians, *ball.views, most=1000)
     np.testing.assert_allclose(a.points, b.points, atol=1e-6)
-    assert a.crossings == b.crossings
+    assert a.report == b.report
 
 
 def test_transparent_gaussians_and_those_with_nan_do_not_make_density(ball):
@@ -97,9 +95,9 @@ def test_transparent_gaussians_and_those_with_nan_do_not_make_density(ball):
         logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -0.5).at[7].set(3.0),
     )
     both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), ball.gaussians, faint)
-    alone = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=500))
-    surface = level_set.surface_points(both, *ball.views, LevelSetOptions(num_points=500))
-    assert surface.kernels == 2000
+    alone = level_set.surface_points(ball.gaussians, *ball.views, most=500)
+    surface = level_set.surface_points(both, *ball.views, most=500)
+    assert surface.report["kernels"] == 2000
     np.testing.assert_array_equal(surface.points, alone.points)
 
 
@@ -113,9 +111,9 @@ def test_a_wall_crosses_whatever_lies_on_it():
     scales = jnp.asarray(np.stack([radii, radii, np.full(201, 1e-3)], -1), jnp.float32)
     wall = replace(discs(np.r_[np.zeros((1, 3)), centers], (0, 0, 1.0), 1.0), log_scales=jnp.log(scales))
     pictures = list(gallery.pictures(wall, [camera], np.zeros(3), with_owners=True))
-    surface = level_set.surface_points(wall, [camera], pictures, LevelSetOptions(num_points=4096))
-    assert surface.rays == 64 * 64
-    assert surface.crossing_share > 0.99
+    surface = level_set.surface_points(wall, [camera], pictures, most=4096)
+    assert surface.report["rays"] == 64 * 64
+    assert surface.report["crossing_share"] > 0.99
     assert np.abs(surface.points[:, 2]).max() < 0.01
     assert np.abs(surface.normals[:, 2]).min() > 0.997  # 0.9977 measured, on the rims of small discs
 
@@ -128,7 +126,7 @@ def test_fewer_gaussians_than_neighbours():
 def test_nothing_to_see_and_nothing_there(ball):
     soft = replace(ball.gaussians, logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -9.0))
     with pytest.raises(InputError, match=r"level set is empty: none of 2020 rays.*2000 of 2000"):
-        level_set.surface_points(soft, *ball.views, LevelSetOptions(num_points=1000))
+        level_set.surface_points(soft, *ball.views, most=1000)
     blank = [p._replace(alphas=np.zeros_like(p.alphas)) for p in ball.pictures]
     with pytest.raises(InputError, match="no pixel of 10 views"):
         level_set.surface_points(ball.gaussians, ball.cameras, blank)

@@ -3,10 +3,8 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.meshing import poisson
-from gsjax.meshing.poisson import PoissonOptions, Support, adaptive, at_quantile
+from gsjax.meshing.poisson import Support, adaptive, at_quantile
 from gsjax.scene.meshes import signed_volume
-
-DEPTH_6 = PoissonOptions(depth=6)
 
 
 def sphere(count, seed=0):
@@ -17,36 +15,36 @@ def sphere(count, seed=0):
 
 def test_sphere_from_its_own_points_and_a_quantile_takes_its_share_of_the_vertices():
     points, colors = sphere(5000)
-    mesh, report = poisson.reconstruct(points, points, colors, DEPTH_6)
+    mesh, report = poisson.reconstruct(points, points, colors, depth=6)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max() < 0.02
     assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.02)
     expected = (mesh.vertices + 1) * 127.5
     assert np.median(np.abs(mesh.colors - expected)) < 8
-    assert (report.points_used, report.depth, report.trim_quantile) == (5000, 6, 0.0)
-    trimmed, report = poisson.reconstruct(points, points, colors, PoissonOptions(depth=6, trim=at_quantile(0.1)))
+    assert [report[name] for name in ("points_used", "depth", "trim_quantile")] == [5000, 6, 0.0]
+    trimmed, report = poisson.reconstruct(points, points, colors, depth=6, trim=at_quantile(0.1))
     assert trimmed.num_vertices == pytest.approx(0.9 * mesh.num_vertices, rel=0.02)
-    assert report.trim_quantile == 0.1
+    assert report["trim_quantile"] == 0.1
 
 
 def test_a_half_sphere_is_not_closed_by_guesswork(monkeypatch):
     points, colors = sphere(6000)
     upper = points[:, 2] > 0
     half = points[upper], points[upper], colors[upper]
-    mesh, report = poisson.reconstruct(*half, DEPTH_6)
+    mesh, report = poisson.reconstruct(*half, depth=6)
     assert mesh.vertices[:, 2].min() > -0.15
-    assert report.trim_quantile > 0
+    assert report["trim_quantile"] > 0
     monkeypatch.setattr(poisson, "TRIM_CELLS", 300)
-    closed, _ = poisson.reconstruct(*half, PoissonOptions(depth=6, trim=at_quantile(0)))
+    closed, _ = poisson.reconstruct(*half, depth=6, trim=at_quantile(0))
     assert closed.vertices[:, 2].min() < mesh.vertices[:, 2].min() - 0.1
 
 
 def test_a_far_stray_is_not_meshed():
     points, colors = sphere(5000)
     points, normals = np.vstack([points, [[60.0, 0, 0]]]), np.vstack([points, [[1.0, 0, 0]]])
-    mesh, report = poisson.reconstruct(points, normals, np.vstack([colors, [[0, 0, 0]]]), DEPTH_6)
+    mesh, report = poisson.reconstruct(points, normals, np.vstack([colors, [[0, 0, 0]]]), depth=6)
     assert np.abs(mesh.vertices).max() < 1.1
     assert mesh.num_faces > 2000, "one cell would be as long as the ball"
-    assert report.points_used == 5000
+    assert report["points_used"] == 5000
 
 
 def test_the_octree_has_cells_of_the_size_asked_for():
@@ -58,7 +56,7 @@ def test_the_octree_has_cells_of_the_size_asked_for():
     assert poisson.octree_for_cell(3.0, 50.0, 1.1) == (6, 2.2)
     points, colors = sphere(3000)
     _, report = poisson.reconstruct(points, points, colors, smallest_cell=0.05)
-    assert report.cell == pytest.approx(max(0.05, 2 * poisson.spacing(points)))
+    assert report["cell"] == pytest.approx(max(0.05, 2 * poisson.spacing(points)))
 
 
 def test_too_few_points_are_refused():
