@@ -97,7 +97,7 @@ def _caster(mesh) -> Callable[[object], Surface]:
 
     def surface_of(camera) -> Surface:
         viewmat, K = np.asarray(camera.viewmat), np.asarray(camera.K)
-        depth = depth_of_mesh(mesh, viewmat, K, camera.width, camera.height, cast=cast)
+        depth = depth_of_mesh(cast, viewmat, K, camera.width, camera.height)
         return depth, np.asarray(depth_normals(jnp.asarray(depth, jnp.float32), camera))
 
     return surface_of

@@ -12,6 +12,7 @@ import numpy as np
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.mesh_method import Method, SurfaceSamples
+from gsjax.meshing.methods import DepthEvidence
 from gsjax.rendering.coarse_depths import CoarseDepth, depths_at
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera, viewmat_center
@@ -26,15 +27,8 @@ MOST_OTHERS = 16  # Views that are compared, those that observe most of what a v
 SAMPLED = 200  # Points of a view by which these are chosen.
 
 
-def of_consistent_depth(
-    method: Method,
-    *,
-    rendered: Sequence[CoarseDepth],
-    stereo: Mapping[int, np.ndarray],
-    stereo_counts: bool,
-    ids: Sequence[int] | None = None,
-) -> Method:
-    """The method of `consistent_pictures`; the arguments are theirs."""
+def of_consistent_depth(method: Method, depths: DepthEvidence, ids: Sequence[int]) -> Method:
+    """The method of `consistent_pictures`; `ids` are theirs, and the other arguments are of the `depths`."""
 
     def from_consistent_depth(
         gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]
@@ -42,13 +36,13 @@ def of_consistent_depth(
         shares: list[float] = []
 
         def counted() -> Iterator[Picture]:
-            options = {"stereo_counts": stereo_counts, "ids": ids}
-            for picture in consistent_pictures(cameras, pictures, rendered, stereo, **options):
+            rendered, stereo, counts = depths.rendered, depths.stereo, depths.stereo_counts
+            for picture in consistent_pictures(cameras, pictures, rendered, stereo, stereo_counts=counts, ids=ids):
                 shares.append(float((picture.depth > 0).mean()))
                 yield picture
 
         samples = method(gaussians, cameras, counted())
-        of_depth = {"photos_that_tell": len(stereo), "agreed_share": float(np.mean(shares))}
+        of_depth = {"photos_that_tell": len(depths.stereo), "agreed_share": float(np.mean(shares))}
         return samples._replace(report=samples.report | of_depth)
 
     return from_consistent_depth

@@ -11,12 +11,13 @@ from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.connectivity import topology
 from gsjax.meshing.level_set import level_set_poisson
 from gsjax.meshing.mesh_method import Method, SurfaceSamples, method_name
+from gsjax.meshing.pictures import rays_in_bands
 from gsjax.meshing.ray_queries import ray_caster
 from gsjax.meshing.regions import Region, Regions, near_and_far
 from gsjax.rendering import gallery
 from gsjax.rendering.gallery import Picture
-from gsjax.scene.cameras import Camera, viewmat_center
-from gsjax.scene.meshes import Mesh, face_normals
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh
 from gsjax.scene.similarity import IDENTITY, Similarity
 
 LENGTHS = frozenset({"cell", "voxel", "trim_distance", "boundary_length", "largest_hole"})
@@ -32,7 +33,6 @@ def extract_mesh(
     *,
     method: Method | None = None,
     regions: Callable[[np.ndarray], Regions] = near_and_far,
-    min_component_share: float = 0.01,
     max_faces: int | None = 1_000_000,
     similarity: Similarity = IDENTITY,
 ) -> tuple[Mesh, dict]:
@@ -50,7 +50,6 @@ def extract_mesh(
             `gsjax.meshing.methods.METHODS` lists return. None: `level_set_poisson()`.
         regions: Where it is reconstructed, from the `[P, 3]` points at which it was seen. A region that is given is
             taken as it is.
-        min_component_share: Connected pieces smaller than this share of a region's largest one are dropped.
         max_faces: Most triangles of a region; above it, it is decimated.
         similarity: To these coordinates, which the mesh has too, from those that the report is in.
 
@@ -71,7 +70,7 @@ def extract_mesh(
     parts, reports, faults = [], {}, []
     for name, region in regions(samples.points).items():
         try:
-            part, reports[name] = _part(samples, region, min_component_share, max_faces, similarity)
+            part, reports[name] = _part(samples, region, max_faces, similarity)
             parts.append(part)
         except InputError as fault:
             reports[name] = {"box": region.corners(similarity), "empty": str(fault)}
@@ -89,9 +88,7 @@ def extract_mesh(
     return mesh, similarity.figures_to_world(report, LENGTHS)
 
 
-def _part(
-    samples: SurfaceSamples, region: Region, min_component_share: float, max_faces: int | None, similarity: Similarity
-) -> tuple[Mesh, dict]:
+def _part(samples: SurfaceSamples, region: Region, max_faces: int | None, similarity: Similarity) -> tuple[Mesh, dict]:
     """The clean mesh of one region; NoSurfaceError where there is none."""
     count = int(region.contains(samples.points).sum())
     if not count:
@@ -103,7 +100,7 @@ def _part(
             f"which span {first} to {last}"
         )
     rough, build_report = samples.build(region)
-    mesh, cleaning = clean(cut_to_region(rough, region), min_component_share=min_component_share, max_faces=max_faces)
+    mesh, cleaning = clean(cut_to_region(rough, region), max_faces=max_faces)
     return mesh, {"box": region.corners(similarity), "points_seen": count, **build_report, "cleaning": asdict(cleaning)}
 
 
@@ -119,15 +116,10 @@ def facing_share(mesh: Mesh, cameras: Sequence[Camera]) -> float:
 
     A sound mesh has 0.99 and more; what is missing looks through a hole at an inner side.
     """
-    cast, normals = ray_caster(mesh), face_normals(mesh)
+    cast = ray_caster(mesh)
     indices = np.unique(np.linspace(0, len(cameras) - 1, min(MOST_VIEWS, len(cameras))).astype(int))
-    faces_cameras = []
-    for index in indices:
-        origin, directions = _rays(cameras[index])
-        hits = cast(origin, directions)
-        hit = np.isfinite(hits.distances)
-        faces_cameras.append(np.sum(normals[hits.faces[hit]] * directions[hit], axis=1) < 0)
-    is_facing = np.concatenate(faces_cameras)
+    hits = [hits for index in indices for hits, _ in rays_in_bands(mesh, cast, _small(cameras[index]), 1)]
+    is_facing = np.concatenate([np.sum(each.normals * each.rays, axis=1) < 0 for each in hits])
     return float(is_facing.mean()) if len(is_facing) else 1.0
 
 
@@ -139,15 +131,9 @@ def orient_outward(mesh: Mesh, cameras: Sequence[Camera]) -> tuple[Mesh, float]:
     return mesh, share
 
 
-def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Origin `[3]` and directions `[R, 3]` through the view, up to 64 along its longer side, spread evenly."""
-    viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
+def _small(camera: Camera) -> Camera:
+    """The view with up to 64 pixels along its longer side."""
     factor = min(1.0, SIDE / max(camera.width, camera.height))
-    columns, rows = (
-        (np.arange(count) + 0.5) * size / count
-        for size in (camera.width, camera.height)
-        for count in [max(round(factor * size), 1)]
-    )
-    x, y = np.meshgrid((columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1])
-    directions = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1) @ viewmat[:3, :3]
-    return viewmat_center(viewmat), directions
+    width, height = (max(round(factor * side), 1) for side in (camera.width, camera.height))
+    K = np.diag([width / camera.width, height / camera.height, 1]) @ np.asarray(camera.K, np.float64)
+    return Camera(camera.viewmat, K, width, height)

@@ -112,13 +112,7 @@ def _tsdf(options: MethodOptions, depths: DepthEvidence, ids: Sequence[int]) -> 
     from gsjax.meshing.consistent_depth import of_consistent_depth
     from gsjax.meshing.tsdf import tsdf
 
-    return of_consistent_depth(
-        tsdf(depths.normals_of, voxel=options.cell),
-        rendered=depths.rendered,
-        stereo=depths.stereo,
-        stereo_counts=depths.stereo_counts,
-        ids=ids,
-    )
+    return of_consistent_depth(tsdf(depths.normals_of, voxel=options.cell), depths, ids)
 
 
 METHODS: dict[str, MeshMethod] = {

@@ -4,7 +4,7 @@ A shading is a function from what the rays hit to colours; pass one of those bel
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -123,21 +123,15 @@ def rays_in_bands(mesh: Mesh, cast: Cast, camera: Camera, side: int) -> Iterator
         yield hits, (first + y // side) * camera.width + x // side
 
 
-def depth_of_mesh(
-    mesh: Mesh, viewmat: np.ndarray, K: np.ndarray, width: int, height: int, *, cast: Cast | None = None
-) -> np.ndarray:
+def depth_of_mesh(cast: Cast, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> np.ndarray:
     """`[H, W]` float32 camera z of the nearest triangle at every pixel centre, 0 where there is none."""
-    origin, directions = _pixel_rays(viewmat, K, width, height)
-    depth = (cast or ray_caster(mesh))(origin, directions).distances
+    depth = cast(*_pixel_rays(viewmat, K, width, height)).distances
     return np.where(np.isfinite(depth), depth, 0).reshape(height, width)
 
 
-def faces_of_pixels(
-    mesh: Mesh, viewmat: np.ndarray, K: np.ndarray, width: int, height: int, *, cast: Cast | None = None
-) -> np.ndarray:
+def faces_of_pixels(cast: Cast, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> np.ndarray:
     """`[H, W]` int64, the nearest triangle at every pixel centre, -1 where there is none."""
-    origin, directions = _pixel_rays(viewmat, K, width, height)
-    hits = (cast or ray_caster(mesh))(origin, directions)
+    hits = cast(*_pixel_rays(viewmat, K, width, height))
     return np.where(np.isfinite(hits.distances), hits.faces, -1).reshape(height, width)
 
 
@@ -151,7 +145,7 @@ def _hits(mesh: Mesh, cast: Cast, viewmat, K, width: int, height: int) -> tuple[
     rays = directions[pixels] @ rotation.T
     hits = Hits(
         depths=depths[pixels],
-        normals=face_normals(mesh)[faces] @ rotation.T,
+        normals=face_normals(replace(mesh, faces=mesh.faces[faces])) @ rotation.T,
         colors=np.einsum("rk,rkc->rc", barycentrics, mesh.colors[mesh.faces[faces]] / 255.0),
         rays=rays / np.linalg.norm(rays, axis=-1, keepdims=True),
         faces=faces,

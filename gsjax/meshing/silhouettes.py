@@ -66,7 +66,7 @@ def overlap(mesh: Mesh, silhouettes: Sequence[Silhouette]) -> Overlap:
     cast, counts = ray_caster(mesh), np.zeros(3, np.int64)
     for viewmat, K, is_object, usable in silhouettes:
         height, width = is_object.shape
-        is_covered = depth_of_mesh(mesh, viewmat, K, width, height, cast=cast) > 0
+        is_covered = depth_of_mesh(cast, viewmat, K, width, height) > 0
         counts += [
             np.sum(part & usable) for part in (is_covered & is_object, is_covered & ~is_object, is_object & ~is_covered)
         ]

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -91,40 +91,54 @@ def score_pictures(
     poses = ("", "_aligned") if align else ("",)
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     scores, masked = [], []
-    if not frames:
-        return {**dict.fromkeys((*names, *measures)), "views": 0}
-    for frame, picture in zip(frames, draw([frame_camera(f) for f in frames]), strict=True):
-        image, matte, valid = frame.pixels()
-        target = image.astype(np.float32) / 255
-        if matte is not None:
-            coverage = matte[..., None].astype(np.float32) / 255
-            target = target * coverage + (1 - coverage) * color
-        observe(frame, target, picture)
-        valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
-        if not valid.any():
+    every = draw([frame_camera(frame) for frame in frames]) if frames else ()
+    for frame, picture in zip(frames, every, strict=True):
+        photo = _photo(frame, color)
+        observe(frame, photo.target, picture)
+        if not photo.valid.any():
             masked.append(frame.name)
             continue
-        lit = {way: _as_taken(looks, frame, None if matte is None else color) for way, looks in lights.items()}
+        lit = {way: _as_taken(looks, frame, photo.under) for way, looks in lights.items()}
         pictures = [picture]
         if align:
             taken_pictures = partial(_photographs, draw, lit["_track_gains"])
-            pictures += draw([align(frame_camera(frame), target, valid, taken_pictures)])
-        renders = []
-        for each in pictures:
-            of_way = {"": each.colors}
-            of_way |= {way: photograph(each).colors for way, photograph in lit.items() if way in ways}
-            if photo_effects.appearances:
-                of_way["_fitted"] = np.clip(fit_colors(each.colors, target, valid), 0, 1)
-            renders += [of_way[way] for way in ways]
-        pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]
+            pictures += draw([align(frame_camera(frame), photo.target, photo.valid, taken_pictures)])
+        renders = [render for each in pictures for render in _renders(each, photo, lit, ways)]
+        pair = [np.clip(colors, 0, 1) * photo.valid[..., None] for colors in (picture.colors, photo.target)]
         scores.append(
-            [each for render in renders for each in _scores(*map(jnp.asarray, (render, target, valid)))]
+            [each for render in renders for each in _scores(*map(jnp.asarray, (render, photo.target, photo.valid)))]
             + [measure(*pair) for measure in measures.values()]
         )
     if masked:
         print_once(f"not scored, because a mask covers every pixel: {', '.join(masked)}")
     means = np.asarray(scores, np.float64).mean(0).tolist() if scores else [None] * len((*names, *measures))
     return {**dict(zip((*names, *measures), means, strict=True)), "views": len(scores)}
+
+
+class _Photo(NamedTuple):
+    target: np.ndarray  # [H, W, 3] 0..1, what a picture is compared with
+    valid: np.ndarray  # [H, W] bool, where
+    under: np.ndarray | None  # what is behind its matte; None: it has none
+
+
+def _photo(frame: Frame, color: np.ndarray) -> _Photo:
+    image, matte, valid = frame.pixels()
+    target = image.astype(np.float32) / 255
+    valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
+    if matte is None:
+        return _Photo(target, valid, None)
+    coverage = matte[..., None].astype(np.float32) / 255
+    return _Photo(target * coverage + (1 - coverage) * color, valid, color)
+
+
+def _renders(
+    picture: Picture, photo: _Photo, lit: Mapping[str, Callable[[Picture], Picture]], ways: Sequence[str]
+) -> list[np.ndarray]:
+    """The colours of a picture in each of the ways."""
+    of_way = {"": picture.colors} | {way: photograph(picture).colors for way, photograph in lit.items() if way in ways}
+    if "_fitted" in ways:
+        of_way["_fitted"] = np.clip(fit_colors(picture.colors, photo.target, photo.valid), 0, 1)
+    return [of_way[way] for way in ways]
 
 
 def _photographs(

@@ -36,7 +36,7 @@ def covered(z, half=0.49):
 def test_a_square_covers_its_pixels_at_its_depth_and_the_nearer_of_two_is_seen():
     near, far = square(1.5, half=0.2), square(3.0, half=1.0)
     both = concatenate_meshes([near, far])
-    depth = depth_of_mesh(both, np.eye(4), K, WIDTH, HEIGHT)
+    depth = depth_of_mesh(ray_caster(both), np.eye(4), K, WIDTH, HEIGHT)
     np.testing.assert_array_equal(depth > 0, covered(3.0, 1.0))
     np.testing.assert_allclose(depth[covered(1.5, 0.2)], 1.5, rtol=1e-6)
     np.testing.assert_allclose(depth[covered(3.0, 1.0) & ~covered(1.5, 0.2)], 3.0, rtol=1e-6)
@@ -53,7 +53,7 @@ def test_sphere_normals_against_the_closed_form_from_any_pose():
     viewmat[:3, :3], viewmat[:3, 3] = [[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.1, 0.2, 0.3]
     mesh = ball(4, center=viewmat[:3, :3].T @ ([0, 0, 4] - viewmat[:3, 3]))
     picture = render_mesh(mesh, viewmat, K, WIDTH, HEIGHT, shading=lambda hits: (hits.normals + 1) / 2).astype(float)
-    depth = depth_of_mesh(mesh, viewmat, K, WIDTH, HEIGHT)
+    depth = depth_of_mesh(ray_caster(mesh), viewmat, K, WIDTH, HEIGHT)
     rows, columns = np.nonzero(depth)
     points = (
         np.stack([(columns + 0.5 - 17) / 40, (rows + 0.5 - 14) / 50, np.ones(len(rows))], -1)

@@ -5,6 +5,7 @@ from meshes import mesh_of, square
 from tolerances import assert_close
 
 from gsjax.meshing.pictures import depth_of_mesh
+from gsjax.meshing.ray_queries import ray_caster
 from gsjax.meshing.texture import pixels_of_faces, texture_side
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh
@@ -31,7 +32,7 @@ def plane(per_side: int) -> Mesh:
 
 def test_pixels_of_a_plane_are_those_whose_rays_meet_it():
     wall, view = plane(40), camera(4.0, 1.1)
-    met = np.count_nonzero(depth_of_mesh(wall, view.viewmat, view.K, view.width, view.height))
+    met = np.count_nonzero(depth_of_mesh(ray_caster(wall), view.viewmat, view.K, view.width, view.height))
     assert_close(pixels_of_faces(wall, view).sum(), met, rtol=0.01, why="the plane's outline is 500 pixels long")
 
 
