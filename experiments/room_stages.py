@@ -96,8 +96,7 @@ def _caster(mesh) -> Callable[[object], Surface]:
     cast = ray_caster(mesh)
 
     def surface_of(camera) -> Surface:
-        viewmat, K = np.asarray(camera.viewmat), np.asarray(camera.K)
-        depth = depth_of_mesh(cast, viewmat, K, camera.width, camera.height)
+        depth = depth_of_mesh(cast, camera)
         return depth, np.asarray(depth_normals(jnp.asarray(depth, jnp.float32), camera))
 
     return surface_of

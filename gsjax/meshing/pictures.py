@@ -68,25 +68,17 @@ def texels_around(textured: TexturedMesh, hits: Hits) -> tuple[np.ndarray, np.nd
 
 
 def render_mesh(
-    mesh: Mesh,
-    viewmat: np.ndarray,
-    K: np.ndarray,
-    width: int,
-    height: int,
-    *,
-    shading: Shading = vertex_colors,
-    cast: Cast | None = None,
+    mesh: Mesh, camera: Camera, *, shading: Shading = vertex_colors, cast: Cast | None = None
 ) -> np.ndarray:
     """`[H, W, 3]` uint8 picture on white; surfaces seen from their inner side are dark red.
 
-    `viewmat` `[4, 4]` is world to camera, OpenCV axes; `K` `[3, 3]` is in pixels, with centres at +0.5. `cast` is the
-    mesh's `ray_caster`, where many pictures share it.
+    `cast` is the mesh's `ray_caster`, where many pictures share it.
     """
-    hits, pixels = _hits(mesh, cast or ray_caster(mesh), viewmat, K, width, height)
+    hits, pixels = _hits(mesh, cast or ray_caster(mesh), camera)
     is_back = np.sum(hits.normals * hits.rays, axis=-1, keepdims=True) > 0
-    picture = np.ones((height * width, 3))
+    picture = np.ones((camera.height * camera.width, 3))
     picture[pixels] = np.where(is_back, BACK_FACE, shading(hits))
-    return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8).reshape(height, width, 3)
+    return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8).reshape(camera.height, camera.width, 3)
 
 
 def smooth_pictures(
@@ -116,32 +108,32 @@ def rays_in_bands(mesh: Mesh, cast: Cast, camera: Camera, side: int) -> Iterator
     rows = max(1, RAYS_AT_ONCE // (camera.width * side * side))
     width = camera.width * side
     for first in range(0, camera.height, rows):
-        height = min(rows, camera.height - first) * side
         K = np.asarray(camera.K, np.float64) - np.array([[0, 0, 0], [0, 0, first], [0, 0, 0]])
-        hits, rays = _hits(mesh, cast, camera.viewmat, np.diag([side, side, 1]) @ K, width, height)
+        height = min(rows, camera.height - first) * side
+        hits, rays = _hits(mesh, cast, Camera(camera.viewmat, np.diag([side, side, 1]) @ K, width, height))
         y, x = np.divmod(rays, width)
         yield hits, (first + y // side) * camera.width + x // side
 
 
-def depth_of_mesh(cast: Cast, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> np.ndarray:
+def depth_of_mesh(cast: Cast, camera: Camera) -> np.ndarray:
     """`[H, W]` float32 camera z of the nearest triangle at every pixel centre, 0 where there is none."""
-    depth = cast(*_pixel_rays(viewmat, K, width, height)).distances
-    return np.where(np.isfinite(depth), depth, 0).reshape(height, width)
+    depth = cast(*_pixel_rays(camera)).distances
+    return np.where(np.isfinite(depth), depth, 0).reshape(camera.height, camera.width)
 
 
-def faces_of_pixels(cast: Cast, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> np.ndarray:
+def faces_of_pixels(cast: Cast, camera: Camera) -> np.ndarray:
     """`[H, W]` int64, the nearest triangle at every pixel centre, -1 where there is none."""
-    hits = cast(*_pixel_rays(viewmat, K, width, height))
-    return np.where(np.isfinite(hits.distances), hits.faces, -1).reshape(height, width)
+    hits = cast(*_pixel_rays(camera))
+    return np.where(np.isfinite(hits.distances), hits.faces, -1).reshape(camera.height, camera.width)
 
 
-def _hits(mesh: Mesh, cast: Cast, viewmat, K, width: int, height: int) -> tuple[Hits, np.ndarray]:
+def _hits(mesh: Mesh, cast: Cast, camera: Camera) -> tuple[Hits, np.ndarray]:
     """What each ray hits first, and the flat indices of the pixels that hit something."""
-    origin, directions = _pixel_rays(viewmat, K, width, height)
+    origin, directions = _pixel_rays(camera)
     depths, faces, barycentrics = cast(origin, directions)
     pixels = np.flatnonzero(np.isfinite(depths))
     faces, barycentrics = faces[pixels], barycentrics[pixels]
-    rotation = np.asarray(viewmat, np.float64)[:3, :3]
+    rotation = np.asarray(camera.viewmat, np.float64)[:3, :3]
     rays = directions[pixels] @ rotation.T
     hits = Hits(
         depths=depths[pixels],
@@ -154,11 +146,11 @@ def _hits(mesh: Mesh, cast: Cast, viewmat, K, width: int, height: int) -> tuple[
     return hits, pixels
 
 
-def _pixel_rays(viewmat, K, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+def _pixel_rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """`[3]` the camera's centre and `[H * W, 3]` directions whose lengths make a ray's parameter the camera z."""
-    viewmat, K = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
+    viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
     right, down, forward = viewmat[:3, :3]
-    columns = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]
-    rows = (np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]
+    columns = (np.arange(camera.width) + 0.5 - K[0, 2]) / K[0, 0]
+    rows = (np.arange(camera.height) + 0.5 - K[1, 2]) / K[1, 1]
     directions = columns[:, None] * right + (rows[:, None] * down + forward)[:, None]
     return viewmat_center(viewmat), directions.reshape(-1, 3)

@@ -12,6 +12,7 @@ import numpy as np
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.ray_queries import ray_caster
 from gsjax.scene import Scene
+from gsjax.scene.cameras import Camera, thinned_K
 from gsjax.scene.meshes import Mesh
 
 MOST_PHOTOS, MOST_PIXELS = 24, 1 << 18  # of each photo: rays at all of them take a second or two a mesh
@@ -21,8 +22,7 @@ IS_OBJECT = 127  # of 255: a pixel's coverage above which it is the object's
 class Silhouette(NamedTuple):
     """The matte of one photo, at evenly spaced pixels of it."""
 
-    viewmat: np.ndarray  # [4, 4] world to camera
-    K: np.ndarray  # [3, 3] of these pixels
+    camera: Camera  # of these pixels
     is_object: np.ndarray  # [H, W] bool
     usable: np.ndarray  # [H, W] bool, False where a mask hides the photo
 
@@ -52,21 +52,18 @@ def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
             return ()
         every = math.ceil(math.sqrt(matte.size / MOST_PIXELS))
         grid = (slice(every // 2, None, every),) * 2
-        # The centre of the first pixel that is taken is to be the centre of the first one of the smaller picture.
-        K = frame.K.astype(np.float64)
-        K[:2, 2] -= every // 2 + 0.5 - every / 2
-        K = np.diag([1 / every, 1 / every, 1]) @ K
-        usable = np.ones_like(matte[grid], bool) if valid is None else valid[grid] > 127
-        silhouettes.append(Silhouette(frame.viewmat, K, matte[grid] > IS_OBJECT, usable))
+        is_object = matte[grid] > IS_OBJECT
+        usable = np.ones_like(is_object) if valid is None else valid[grid] > 127
+        camera = Camera(frame.viewmat, thinned_K(frame.K, every), *is_object.shape[::-1])
+        silhouettes.append(Silhouette(camera, is_object, usable))
     return tuple(silhouettes)
 
 
 def overlap(mesh: Mesh, silhouettes: Sequence[Silhouette]) -> Overlap:
     """How the silhouettes of a mesh, in the scene's coordinates, cover those of the object, one at least."""
     cast, counts = ray_caster(mesh), np.zeros(3, np.int64)
-    for viewmat, K, is_object, usable in silhouettes:
-        height, width = is_object.shape
-        is_covered = depth_of_mesh(cast, viewmat, K, width, height) > 0
+    for camera, is_object, usable in silhouettes:
+        is_covered = depth_of_mesh(cast, camera) > 0
         counts += [
             np.sum(part & usable) for part in (is_covered & is_object, is_covered & ~is_object, is_object & ~is_covered)
         ]

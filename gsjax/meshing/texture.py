@@ -80,7 +80,7 @@ def composite_views(
     cast, normals = ray_caster(mesh), face_normals(mesh).astype(np.float32)
     sums = np.zeros((len(texels.where), 4), np.float32)
     for camera, picture in zip(cameras, pictures, strict=True):
-        depth = depth_of_mesh(cast, camera.viewmat, camera.K, camera.width, camera.height)
+        depth = depth_of_mesh(cast, camera)
         colors, alphas = filled_in(picture, camera, depth > 0, background)
         # Nothing rendered is no haze.
         rendered = np.where(picture.depth > 0, picture.depth, np.inf)

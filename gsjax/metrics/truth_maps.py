@@ -39,7 +39,7 @@ def score_surface(
 def score_mesh_views(mesh: Mesh, frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:
     """The same of the depth at which rays meet a mesh, names with "mesh_" before them."""
     cast, frames = ray_caster(mesh), _with_maps(frames, truth)
-    depths = (depth_of_mesh(cast, f.viewmat, f.K, f.width, f.height) for f in frames)
+    depths = (depth_of_mesh(cast, frame_camera(f)) for f in frames)
     return {f"mesh_{name}": value for name, value in _score_depths(depths, frames, truth).items()}
 
 

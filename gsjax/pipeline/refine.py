@@ -234,7 +234,7 @@ def halved_where_seen(mesh: Mesh, data: Batches, count: int) -> Mesh:
     cast, pixel_counts = ray_caster(mesh), np.zeros(mesh.num_faces)
     indices = np.unique(np.linspace(0, data.num_views - 1, min(MOST_VIEWS, data.num_views)).astype(int))
     for target in tqdm([data.views[index] for index in indices], desc="seen triangles", unit="view", delay=QUIET):
-        faces = faces_of_pixels(cast, target.camera.viewmat, target.camera.K, *data.size)
+        faces = faces_of_pixels(cast, target.camera)
         usable = np.asarray(decode(target, jnp.zeros(3)).valid)
         pixel_counts += np.bincount(faces[usable & (faces >= 0)], minlength=mesh.num_faces)
     halved = bisect_triangles(mesh, pixel_counts, count)
@@ -247,7 +247,7 @@ def _free_rows(task: _Task) -> np.ndarray:
     assert task.result is not None
     cast, data = ray_caster(task.mesh), task.data
     targets = tqdm(data.views, desc="free Gaussians", unit="view", delay=QUIET)
-    depths = (depth_of_mesh(cast, target.camera.viewmat, target.camera.K, *data.size) for target in targets)
+    depths = (depth_of_mesh(cast, target.camera) for target in targets)
     depth_mode = task.result.depth_mode
     free = uncovered_gaussians(task.result.gaussians, data, depths, border(task.mesh), depth_mode=depth_mode)
     print(f"refine: {free.sum():,} of {len(free):,} Gaussians stay free, where there is no mesh", file=sys.stderr)

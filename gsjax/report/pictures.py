@@ -49,4 +49,4 @@ def difference_picture(image: np.ndarray, other: np.ndarray, gain: float) -> np.
 
 def mesh_picture(mesh: Mesh, camera: Camera, shading: Shading = headlight, cast: Cast | None = None) -> np.ndarray:
     """`[H, W, 3]` uint8: a mesh as `camera` sees it."""
-    return render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading, cast=cast)
+    return render_mesh(mesh, camera, shading=shading, cast=cast)

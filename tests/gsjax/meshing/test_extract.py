@@ -8,6 +8,7 @@ from gsjax.meshing.level_set import level_set_poisson
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.ray_queries import ray_caster
 from gsjax.meshing.regions import Box, Region
+from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh, face_normals, signed_volume
 
 
@@ -48,7 +49,7 @@ def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
         for sign in (1, -1):
             viewmat = np.eye(4)
             viewmat[:3, :3] = np.diag([sign, 1, sign]) @ axes
-            assert (depth_of_mesh(ray_caster(mesh), viewmat, K, 64, 64) > 0).all()
+            assert (depth_of_mesh(ray_caster(mesh), Camera(viewmat, K, 64, 64)) > 0).all()
 
 
 def test_the_border_belongs_to_both_sides_of_a_cut():

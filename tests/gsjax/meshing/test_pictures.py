@@ -20,6 +20,7 @@ from gsjax.scene.meshes import Mesh
 
 K = np.array([[40.0, 0, 17], [0, 50.0, 14], [0, 0, 1]])
 WIDTH, HEIGHT = 36, 30
+AT_ORIGIN = Camera(np.eye(4), K, WIDTH, HEIGHT)
 
 
 def square(z, half=0.49):
@@ -36,7 +37,7 @@ def covered(z, half=0.49):
 def test_a_square_covers_its_pixels_at_its_depth_and_the_nearer_of_two_is_seen():
     near, far = square(1.5, half=0.2), square(3.0, half=1.0)
     both = concatenate_meshes([near, far])
-    depth = depth_of_mesh(ray_caster(both), np.eye(4), K, WIDTH, HEIGHT)
+    depth = depth_of_mesh(ray_caster(both), AT_ORIGIN)
     np.testing.assert_array_equal(depth > 0, covered(3.0, 1.0))
     np.testing.assert_allclose(depth[covered(1.5, 0.2)], 1.5, rtol=1e-6)
     np.testing.assert_allclose(depth[covered(3.0, 1.0) & ~covered(1.5, 0.2)], 3.0, rtol=1e-6)
@@ -44,16 +45,17 @@ def test_a_square_covers_its_pixels_at_its_depth_and_the_nearer_of_two_is_seen()
 
 def test_back_faces_are_dark_red_in_every_shading():
     for shading in (vertex_colors, headlight):
-        picture = render_mesh(turned(square(2.0)), np.eye(4), K, WIDTH, HEIGHT, shading=shading)
+        picture = render_mesh(turned(square(2.0)), AT_ORIGIN, shading=shading)
         assert np.all(picture[covered(2.0)] == [115, 0, 0])
 
 
 def test_sphere_normals_against_the_closed_form_from_any_pose():
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = [[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]], [0.1, 0.2, 0.3]
+    camera = Camera(viewmat, K, WIDTH, HEIGHT)
     mesh = ball(4, center=viewmat[:3, :3].T @ ([0, 0, 4] - viewmat[:3, 3]))
-    picture = render_mesh(mesh, viewmat, K, WIDTH, HEIGHT, shading=lambda hits: (hits.normals + 1) / 2).astype(float)
-    depth = depth_of_mesh(ray_caster(mesh), viewmat, K, WIDTH, HEIGHT)
+    picture = render_mesh(mesh, camera, shading=lambda hits: (hits.normals + 1) / 2).astype(float)
+    depth = depth_of_mesh(ray_caster(mesh), camera)
     rows, columns = np.nonzero(depth)
     points = (
         np.stack([(columns + 0.5 - 17) / 40, (rows + 0.5 - 14) / 50, np.ones(len(rows))], -1)
@@ -99,10 +101,10 @@ def test_a_texture_is_drawn_where_its_places_say():
     texture = rng.integers(0, 256, (8, 8, 3), dtype=np.uint8)
     textured = TexturedMesh(mesh, Atlas(uvs, np.arange(4, dtype=np.int32), mesh.faces, 8, 1), texture)
     K = np.array([[8.0, 0, 4], [0, 8.0, 4], [0, 0, 1]])  # a pixel a texel
-    picture = render_mesh(mesh, np.eye(4), K, 8, 8, shading=texture_colors(textured))
+    picture = render_mesh(mesh, Camera(np.eye(4), K, 8, 8), shading=texture_colors(textured))
     assert np.abs(picture.astype(int) - texture).max() <= 1
     # Half a pixel to the right: halfway between two texels.
     K[0, 2] = 3.5
-    picture = render_mesh(mesh, np.eye(4), K, 8, 8, shading=texture_colors(textured))
+    picture = render_mesh(mesh, Camera(np.eye(4), K, 8, 8), shading=texture_colors(textured))
     halfway = (texture[:, :-1].astype(float) + texture[:, 1:]) / 2
     assert np.abs(picture[:, :-1] - halfway).max() <= 1

@@ -50,7 +50,7 @@ def test_shares_are_those_of_circles(radius, half, every, monkeypatch):
 
 def test_photos_are_chosen_evenly_and_all_must_have_a_matte():
     many = photos(60)
-    viewmats = [outline.viewmat for outline in silhouettes_of(scene(many))]
+    viewmats = [outline.camera.viewmat for outline in silhouettes_of(scene(many))]
     indices = [next(i for i, frame in enumerate(many) if frame.viewmat is viewmat) for viewmat in viewmats]
     assert len(indices) == MOST_PHOTOS
     assert (indices[0], indices[-1]) == (0, 59)

@@ -32,7 +32,7 @@ def plane(per_side: int) -> Mesh:
 
 def test_pixels_of_a_plane_are_those_whose_rays_meet_it():
     wall, view = plane(40), camera(4.0, 1.1)
-    met = np.count_nonzero(depth_of_mesh(ray_caster(wall), view.viewmat, view.K, view.width, view.height))
+    met = np.count_nonzero(depth_of_mesh(ray_caster(wall), view))
     assert_close(pixels_of_faces(wall, view).sum(), met, rtol=0.01, why="the plane's outline is 500 pixels long")
 
 

@@ -10,6 +10,7 @@ from PIL import Image
 from gsjax.errors import InputError
 from gsjax.meshing import pictures
 from gsjax.meshing.export import read_mesh, read_textured
+from gsjax.scene.cameras import Camera
 
 RED, BLUE, GREEN, WHITE = (255, 0, 0), (0, 0, 255), (0, 255, 0), (255, 255, 255)
 TEXTURE = np.repeat(np.repeat(np.array([[RED, BLUE], [GREEN, WHITE]], np.uint8), 8, axis=0), 8, axis=1)
@@ -35,7 +36,7 @@ def assert_four_colors(path):
     assert textured.atlas.uvs.min() >= -1e-4 and textured.atlas.uvs.max() <= 1 + 1e-4, "for writers that do not repeat"
     viewmat = np.array([[1, 0, 0, -0.5], [0, -1, 0, 0.5], [0, 0, -1, 2.0], [0, 0, 0, 1]])
     K, shading = np.array([[100, 0, 32], [0, 100, 32], [0, 0, 1.0]]), pictures.texture_colors(textured)
-    image = pictures.render_mesh(textured.mesh, viewmat, K, 64, 64, shading=shading)
+    image = pictures.render_mesh(textured.mesh, Camera(viewmat, K, 64, 64), shading=shading)
     for color, (x, y) in PLACES.items():
         np.testing.assert_array_equal(image[int(32 + 50 * (0.5 - y)), int(32 + 50 * (x - 0.5))], color)
 
