@@ -11,8 +11,8 @@ import numpy as np
 
 from gsjax.io.parallel_map import parallel_map
 from gsjax.scene.meshes import unit_or_zero
-from gsjax.stereo.planes import local_planes, photo_segments, segment_planes
-from gsjax.stereo.views import Depth, View
+from gsjax.stereo.planes import inverse_of, local_planes, photo_segments, segment_planes
+from gsjax.stereo.views import View
 
 ROUNDS = 2
 ON_PLANE = 0.01  # of the inverse depth, up to which stereo depth moves to its segment's plane,
@@ -26,8 +26,8 @@ BEHIND = 0.04  # of the depth, by which what a photo shows behind a surface cont
 class CompletedDepth(NamedTuple):
     """The surface that a photo shows."""
 
-    depth: Depth
-    normals: np.ndarray  # [H, W, 3] float32 unit, in the camera's frame, towards it; 0 where depth is not confident
+    depth: np.ndarray  # [H, W] float64 camera z, scene units; 0 where it is unknown
+    normals: np.ndarray  # [H, W, 3] float32 unit, in the camera's frame, towards it; 0 where depth is unknown
 
 
 class _Surface(NamedTuple):
@@ -37,12 +37,14 @@ class _Surface(NamedTuple):
     stereo: np.ndarray  # [H, W] inverse depth by stereo alone; 0 where it is unknown
 
 
-def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequence[int]]) -> list[CompletedDepth]:
-    """Complete the depth of photos by planes.
+def complete(
+    views: Sequence[View], depths: Sequence[np.ndarray], near: Sequence[Sequence[int]]
+) -> list[CompletedDepth]:
+    """Complete the depth `[H, W]` of photos by planes.
 
-    Their depth is confident where another confirms it; `near` has the indices of those that each is compared with.
+    Depth is known where another photo confirms it; `near` has the indices of those that each is compared with.
     """
-    stereo = [np.where(depth.is_confident, 1 / depth.z, 0) for depth in depths]
+    stereo = list(map(inverse_of, depths))
     segments = list(parallel_map(lambda view: photo_segments(view.color), views))
     completed = _complete_once(views, segments, depths, stereo, near)
     for _ in range(ROUNDS - 1):
@@ -52,21 +54,20 @@ def complete(views: Sequence[View], depths: Sequence[Depth], near: Sequence[Sequ
     return completed
 
 
-def _filled(index: int, views: Sequence[View], depths: Sequence[Depth], others: Sequence[int]) -> Depth:
+def _filled(index: int, views: Sequence[View], depths: Sequence[np.ndarray], others: Sequence[int]) -> np.ndarray:
     """The depth of a photo, and where there is none that of the nearest surface that other photos show there."""
     view, depth = views[index], depths[index]
     nearest = np.full(view.gray.shape, np.inf)
     for other in others:
         row, column, z, inside = view.landing(views[other].lift(depths[other]))
         np.minimum.at(nearest, (row[inside], column[inside]), z[inside])
-    fills = ~depth.is_confident & np.isfinite(nearest) & view.usable
-    return Depth(np.where(fills, nearest, depth.z), depth.is_confident | fills)
+    return np.where((depth == 0) & np.isfinite(nearest) & view.usable, nearest, depth)
 
 
 def _complete_once(
     views: Sequence[View],
     segments: Sequence[np.ndarray],
-    depths: Sequence[Depth],
+    depths: Sequence[np.ndarray],
     stereo: Sequence[np.ndarray],
     near: Sequence[Sequence[int]],
 ) -> list[CompletedDepth]:
@@ -89,18 +90,18 @@ def _checked(surface: _Surface, others: Sequence[_Surface]) -> CompletedDepth:
         confirmed |= same
         contradicted |= behind
     is_known = confirmed & ~contradicted
-    z = 1 / np.where(is_known, surface.planes[..., 0], 1)
-    return CompletedDepth(Depth(z, is_known), np.where(is_known[..., None], surface.normals, 0).astype(np.float32))
+    depth = inverse_of(np.where(is_known, surface.planes[..., 0], 0))
+    return CompletedDepth(depth, np.where(is_known[..., None], surface.normals, 0).astype(np.float32))
 
 
-def _completed_planes(view: View, labels: np.ndarray, depth: Depth, rng: np.random.Generator) -> np.ndarray:
+def _completed_planes(view: View, labels: np.ndarray, depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """`[H, W, 3]` map of planes of the depth and of the photo's segments."""
     own = local_planes(depth)
     segments = segment_planes(view, labels, own, rng)
     has_plane = segments[..., 0] > 0
     apart = np.abs(own[..., 0] - segments[..., 0])
-    is_kept = depth.is_confident & ~(has_plane & (apart > OFF_PLANE * segments[..., 0]))
-    takes_plane = has_plane & np.where(is_kept, apart < ON_PLANE * segments[..., 0], ~depth.is_confident & view.usable)
+    is_kept = (depth > 0) & ~(has_plane & (apart > OFF_PLANE * segments[..., 0]))
+    takes_plane = has_plane & np.where(is_kept, apart < ON_PLANE * segments[..., 0], (depth == 0) & view.usable)
     return np.where(takes_plane[..., None], segments, own * is_kept[..., None])
 
 

@@ -13,7 +13,7 @@ from gsjax.io.parallel_map import parallel_map
 from gsjax.scene import Scene
 from gsjax.stereo.completion import complete
 from gsjax.stereo.sweep import best_planes, dissimilarities, inverse_depths
-from gsjax.stereo.views import MOST_VIEWS, Depth, View, neighbors, stereo_views
+from gsjax.stereo.views import MOST_VIEWS, View, neighbors, stereo_views
 
 CONFIDENT = 0.6  # dissimilarity up to which a pixel may be confident
 SMALLEST_PATCH = 50  # pixels
@@ -42,8 +42,8 @@ class PhotoDepth(NamedTuple):
     """Depth of one photo."""
 
     view: View
-    depth: Depth  # confident where another photo confirms it
-    normals: np.ndarray  # [H, W, 3] float32 unit, in the camera's frame, towards it; 0 where depth is not confident
+    depth: np.ndarray  # [H, W] float64 camera z, scene units; 0 where no other photo confirms it
+    normals: np.ndarray  # [H, W, 3] float32 unit, in the camera's frame, towards it; 0 where depth is unknown
     evidence: Evidence  # of the photo's matched points
 
 
@@ -98,59 +98,57 @@ def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
     ]
     own_depths = []
     for view, depth, others in zip(views, swept, near, strict=True):
-        own = depth._replace(is_confident=confirmed(view, depth, [(views[other], swept[other]) for other in others]))
-        is_good = evidence(view, own, scene.points).is_good
+        own = confirmed(view, depth, [(views[other], swept[other]) for other in others])
         # A photo that its points contradict has no say; what others show of its surface may complete it all the same.
-        own_depths.append(own if is_good else own._replace(is_confident=np.zeros_like(own.is_confident)))
+        own_depths.append(own if evidence(view, own, scene.points).is_good else np.zeros_like(own))
     accepted = (
         PhotoDepth(view, *full, evidence(view, full.depth, scene.points))
         for view, full in zip(views, complete(views, own_depths, near), strict=True)
-        if full.depth.is_confident.any()
+        if full.depth.any()
     )
     return PhotoDepths(tuple(accepted), len(views))
 
 
-def _swept(view: View, others: list[View]) -> Depth:
+def _swept(view: View, others: list[View]) -> np.ndarray:
     if not others:
-        return Depth(np.ones(view.gray.shape), np.zeros(view.gray.shape, bool))
+        return np.zeros(view.gray.shape)
     places, unlike = best_planes(dissimilarities(view, others))
     inverse = inverse_depths(view)
-    z = 1 / (inverse[0] + places * (inverse[1] - inverse[0]))
-    return Depth(z, patches(z, unlike < CONFIDENT))
+    return patches(np.where(unlike < CONFIDENT, 1 / (inverse[0] + places * (inverse[1] - inverse[0])), 0))
 
 
-def patches(z: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """Return `[H, W]` bool, the counted pixels that belong to a large enough patch of similar depth."""
-    number = np.arange(z.size).reshape(z.shape)
-    logarithm = np.log(z)
+def patches(depth: np.ndarray) -> np.ndarray:
+    """Return the depth `[H, W]` of the pixels that belong to a large enough patch of similar depth, else 0."""
+    number, counted = np.arange(depth.size).reshape(depth.shape), depth > 0
+    logarithm = np.log(np.where(counted, depth, 1))
     pairs = []
     for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         alike = counted[first] & counted[second] & (np.abs(logarithm[first] - logarithm[second]) < SAME_PATCH)
         pairs.append((number[first][alike], number[second][alike]))
     ends = tuple(np.concatenate(each) for each in zip(*pairs, strict=True))
-    graph = coo_matrix((np.ones(len(ends[0]), bool), ends), shape=(z.size, z.size))
+    graph = coo_matrix((np.ones(len(ends[0]), bool), ends), shape=(depth.size,) * 2)
     label = connected_components(graph, directed=False)[1]
-    return counted & (np.bincount(label)[label] >= SMALLEST_PATCH).reshape(z.shape)
+    return np.where((np.bincount(label)[label] >= SMALLEST_PATCH).reshape(depth.shape), depth, 0)
 
 
-def confirmed(view: View, depth: Depth, others: Sequence[tuple[View, Depth]]) -> np.ndarray:
-    """Return `[H, W]` bool, confident pixels that another photo shows confidently at the same depth."""
+def confirmed(view: View, depth: np.ndarray, others: Sequence[tuple[View, np.ndarray]]) -> np.ndarray:
+    """Return the depth `[H, W]` of the pixels that another photo shows at the same depth, else 0."""
     points = view.lift(depth)
     agreed = np.zeros(len(points), bool)
     for other, theirs in others:
         row, column, z, inside = other.landing(points)
-        shows = inside & theirs.is_confident[row, column]
-        agreed |= shows & (np.abs(theirs.z[row, column] - z) < CONFIRMED * np.abs(z))
-    counted = depth.is_confident.copy()
-    counted[depth.is_confident] = agreed
-    return patches(depth.z, counted)
+        there = theirs[row, column]
+        agreed |= inside & (there > 0) & (np.abs(there - z) < CONFIRMED * np.abs(z))
+    own = np.zeros_like(depth)
+    own[depth > 0] = np.where(agreed, depth[depth > 0], 0)
+    return patches(own)
 
 
-def evidence(view: View, depth: Depth, points: np.ndarray) -> Evidence:
+def evidence(view: View, depth: np.ndarray, points: np.ndarray) -> Evidence:
     """Compare a photo's depth with the scene's `[P, 3]` points that were matched in it."""
     row, column, z, inside = view.landing(points[view.matched])
-    checked = inside & depth.is_confident[row, column]
-    right = checked & (np.abs(depth.z[row, column] - z) < RIGHT * np.abs(z))
+    checked = inside & (depth[row, column] > 0)
+    right = checked & (np.abs(depth[row, column] - z) < RIGHT * np.abs(z))
     return Evidence(int(right.sum()), int(checked.sum()))
 
 
@@ -165,7 +163,7 @@ class StereoPoints(NamedTuple):
 def stereo_points(swept: PhotoDepths, count: int) -> StereoPoints:
     """Return at most `count` points (1 at least) of the depth of one photo at least, evenly spread."""
     points = np.concatenate([each.view.lift(each.depth) for each in swept.accepted])
-    colors = np.concatenate([each.view.color[each.depth.is_confident] for each in swept.accepted])
+    colors = np.concatenate([each.view.color[each.depth > 0] for each in swept.accepted])
     indices = spread_evenly(points, count)
     line = f"{len(indices):,} more points of multi-view consistent depth"
     return StereoPoints(points[indices].astype(np.float32), colors[indices], line)

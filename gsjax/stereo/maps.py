@@ -41,10 +41,7 @@ StereoMaps = Mapping[str, StereoMap]
 def stereo_maps(depths: PhotoDepths) -> dict[str, StereoMap]:
     """Return the maps of the photos with depth."""
     return {
-        each.view.name: StereoMap(
-            np.where(each.depth.is_confident, each.depth.z, 0).astype(np.float32),
-            np.rint(NORMAL_UNIT * each.normals).astype(np.int8),
-        )
+        each.view.name: StereoMap(each.depth.astype(np.float32), np.rint(NORMAL_UNIT * each.normals).astype(np.int8))
         for each in depths.accepted
     }
 

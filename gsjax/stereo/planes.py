@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.io.images import cv2
-from gsjax.stereo.views import Depth, View
+from gsjax.stereo.views import View
 
 WINDOW = 7  # pixels, side of the square in which the slopes of depth are fitted
 SEGMENT_SIGMA, SEGMENT_SCALE, SMALLEST_SEGMENT = 0.6, 300.0, 150  # of the graph segmentation, at `SEGMENT_PIXELS`
@@ -24,16 +24,20 @@ THINNEST = 2.0  # pixels, standard deviation across pixels that are no line
 REACH = 4.0  # standard deviations of a plane's pixels, as far as it is extended
 
 
-def local_planes(depth: Depth) -> np.ndarray:
-    """Return `[H, W, 3]` the map of planes of confident depth: its own value, and slopes fitted around it."""
-    height, width = depth.z.shape
-    mask = depth.is_confident.astype(np.float64)
-    inverse = np.where(depth.is_confident, 1 / np.where(depth.is_confident, depth.z, 1), 0)
+def local_planes(depth: np.ndarray) -> np.ndarray:
+    """Return `[H, W, 3]` the map of planes of depth `[H, W]`: its own value, and slopes fitted around it."""
+    height, width = depth.shape
+    mask, inverse = (depth > 0).astype(np.float64), inverse_of(depth)
     x, y = np.meshgrid((np.arange(width) - width / 2) / width, (np.arange(height) - height / 2) / width)
     axes = (np.ones_like(x), x, y)
     left = np.stack([np.stack([_summed(mask * a * b) for b in axes], -1) for a in axes], -2) + 1e-9 * np.eye(3)
     slopes = np.linalg.solve(left, np.stack([_summed(inverse * a) for a in axes], -1)[..., None])[..., 1:, 0] / width
-    return np.where(depth.is_confident[..., None], np.concatenate([inverse[..., None], slopes], axis=-1), 0)
+    return np.where(depth[..., None] > 0, np.concatenate([inverse[..., None], slopes], axis=-1), 0)
+
+
+def inverse_of(depth: np.ndarray) -> np.ndarray:
+    """Return one over the depth; 0 where that is 0, unknown."""
+    return np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
 
 
 def _summed(values: np.ndarray) -> np.ndarray:

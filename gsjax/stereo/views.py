@@ -1,7 +1,6 @@
 """Small grey copies of the training photos, their ranges of depth, and the pairs to compare."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,13 +16,6 @@ NEIGHBORS = 4
 BEST_ANGLE = 8.0  # degrees between two rays to a point: less makes depth uncertain, more makes photos dissimilar
 NARROWER, WIDER = 4.0, 15.0  # degrees from the best angle at which a pair is worth 1 / e, on either side
 SAMPLED = 4000  # points by which neighbours are chosen
-
-
-class Depth(NamedTuple):
-    """Depth of one photo."""
-
-    z: np.ndarray  # [H, W] float64 camera z, scene units
-    is_confident: np.ndarray  # [H, W] bool
 
 
 @dataclass(frozen=True)
@@ -44,11 +36,11 @@ class View:
         """Project `[P, 3]` world points to pixels."""
         return landing(points, self.viewmat, self.K, self.usable.shape)
 
-    def lift(self, depth: Depth) -> np.ndarray:
-        """Return `[P, 3]` world points of the centres of the confident pixels, row by row."""
-        row, column = np.nonzero(depth.is_confident)
+    def lift(self, depth: np.ndarray) -> np.ndarray:
+        """Return `[P, 3]` world points of the centres of the pixels with depth `[H, W]`, row by row."""
+        row, column = np.nonzero(depth)
         pixels = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], axis=-1)
-        local = pixels @ np.linalg.inv(self.K).T * depth.z[depth.is_confident][:, None]
+        local = pixels @ np.linalg.inv(self.K).T * depth[row, column, None]
         return (local - self.viewmat[:3, 3]) @ self.viewmat[:3, :3]
 
 

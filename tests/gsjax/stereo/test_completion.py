@@ -9,7 +9,7 @@ from tolerances import assert_close
 
 from gsjax.stereo.completion import BEHIND, OFF_PLANE, ON_PLANE, complete, plane_normals
 from gsjax.stereo.planes import TOLERANCE, local_planes, photo_segments, segment_planes
-from gsjax.stereo.views import Depth, View, stereo_views
+from gsjax.stereo.views import View, stereo_views
 
 AWAY = 3.0
 GREY = 128
@@ -27,7 +27,7 @@ def plane_map(value, across, down):
 
 
 def depth_of(planes, is_known=True):
-    return Depth(1 / planes[..., 0], np.broadcast_to(is_known, planes.shape[:2]).copy())
+    return np.where(is_known, 1 / planes[..., 0], 0)
 
 
 def test_slopes_of_a_plane_are_found_to_its_border():
@@ -93,7 +93,7 @@ def completed(depths, views: tuple[View, ...] = VIEWS):
 def seen_by_others(index, mask):
     """`[H, W]` bool: pixels whose place on the wall lies within the image, and at pixels of `mask`, of another view."""
     view = VIEWS[index]
-    points = view.lift(Depth(np.full((HEIGHT, WIDTH), AWAY), np.ones((HEIGHT, WIDTH), bool)))
+    points = view.lift(np.full((HEIGHT, WIDTH), AWAY))
     landed = [VIEWS[other].landing(points) for other in range(len(VIEWS)) if other != index]
     return np.any([each.inside & mask[each.rows, each.columns] for each in landed], axis=0).reshape(HEIGHT, WIDTH)
 
@@ -102,37 +102,34 @@ def test_a_gap_that_all_photos_have_is_filled_with_the_wall():
     wall_depth = depth_of(plane_map(1 / AWAY, 0, 0), ~HOLE)
     whole = np.ones((HEIGHT, WIDTH), bool)
     for index, (depth, normals) in enumerate(completed([wall_depth] * 4)):
-        np.testing.assert_array_equal(depth.is_confident, seen_by_others(index, whole))
-        assert_close(
-            depth.z[depth.is_confident], np.full(depth.is_confident.sum(), AWAY), rtol=1e-6, atol=0, why="fits"
-        )
-        np.testing.assert_allclose(normals[depth.is_confident] @ [0, 0, -1], 1, atol=1e-6)
-        assert not normals[~depth.is_confident].any()
+        np.testing.assert_array_equal(depth > 0, seen_by_others(index, whole))
+        assert_close(depth[depth > 0], np.full((depth > 0).sum(), AWAY), rtol=1e-6, atol=0, why="fits")
+        np.testing.assert_allclose(normals[depth > 0] @ [0, 0, -1], 1, atol=1e-6)
+        assert not normals[depth == 0].any()
     (alone,) = complete(VIEWS[:1], [depth_of(plane_map(1 / AWAY, 0, 0))], [[]])
-    assert not alone.depth.is_confident.any() and not alone.normals.any(), "one photo confirms nothing of itself"
+    assert not alone.depth.any() and not alone.normals.any(), "one photo confirms nothing of itself"
 
 
 def test_a_gap_that_a_photo_looks_through_stays():
     """The first photo shows another colour in its hole, which lies behind the wall."""
     wall_depth = depth_of(plane_map(1 / AWAY, 0, 0), ~HOLE)
     color = np.where(HOLE[..., None], np.uint8(250), VIEWS[0].color)
-    behind = Depth(np.where(HOLE, AWAY * (1 + 2 * BEHIND), AWAY), np.ones((HEIGHT, WIDTH), bool))
+    behind = np.where(HOLE, AWAY * (1 + 2 * BEHIND), AWAY)
     depth, _ = completed([behind, *[wall_depth] * 3], (replace(VIEWS[0], color=color), *VIEWS[1:]))[1]
-    points = VIEWS[1].lift(Depth(np.full((HEIGHT, WIDTH), AWAY), np.ones((HEIGHT, WIDTH), bool)))
+    points = VIEWS[1].lift(np.full((HEIGHT, WIDTH), AWAY))
     row, column, _, inside = VIEWS[0].landing(points)
     seen_through = (inside & HOLE[row, column]).reshape(HEIGHT, WIDTH) & HOLE
-    assert seen_through.sum() > 100 and not depth.is_confident[seen_through].any()
+    assert seen_through.sum() > 100 and not depth[seen_through].any()
 
 
 def test_depth_near_the_plane_of_its_segment_moves_there_and_depth_off_it_goes():
     off = np.zeros((HEIGHT, WIDTH))
     off[5:10, 5:40], off[60:66, 50:90] = 0.6 * ON_PLANE, 2 * OFF_PLANE
-    wavy = Depth(AWAY * (1 - off), np.ones((HEIGHT, WIDTH), bool))
-    depth, _ = completed([wavy] * 4)[0]
+    depth, _ = completed([AWAY * (1 - off)] * 4)[0]
     near, dropped = off == 0.6 * ON_PLANE, off == 2 * OFF_PLANE
     shared = seen_by_others(0, np.ones((HEIGHT, WIDTH), bool))
-    np.testing.assert_allclose(depth.z[near & shared & depth.is_confident], AWAY, rtol=1e-3)
-    assert (near & depth.is_confident).sum() > 50
-    is_left = depth.is_confident & dropped
+    np.testing.assert_allclose(depth[near & shared & (depth > 0)], AWAY, rtol=1e-3)
+    assert (near & (depth > 0)).sum() > 50
+    is_left = (depth > 0) & dropped
     assert is_left.sum() > 20
-    assert np.abs(depth.z[is_left] / AWAY - 1).max(initial=0) < OFF_PLANE, "what is left there is the plane's"
+    assert np.abs(depth[is_left] / AWAY - 1).max(initial=0) < OFF_PLANE, "what is left there is the plane's"

@@ -10,7 +10,7 @@ from tolerances import assert_close
 from gsjax.scene import Scene, with_pixels
 from gsjax.stereo import depths_of_photos, stereo_points, views
 from gsjax.stereo.depths import FEWEST_CHECKED, Evidence, evidence
-from gsjax.stereo.views import Depth, stereo_views
+from gsjax.stereo.views import stereo_views
 
 AWAY = 3.0  # from the cameras to the wall
 
@@ -82,9 +82,9 @@ def test_every_photo_tells_the_depth_of_the_wall(wall_depths):
     assert [each.view.name for each in wall_depths.accepted] == [frame.name for frame in WALL.frames]
     assert wall_depths.line.startswith("5 of 5 photos; 100% of")
     for each in wall_depths.accepted:
-        is_confident = each.depth.is_confident
+        is_confident = each.depth > 0
         assert is_confident.shape == SIZE[::-1] and 0.3 < is_confident.mean() < 1
-        assert np.abs(each.depth.z[is_confident] - AWAY).max() < 0.03 * AWAY
+        assert np.abs(each.depth[is_confident] - AWAY).max() < 0.03 * AWAY
         assert not each.normals[~is_confident].any()
         assert np.quantile(each.normals[is_confident] @ [0, 0, -1], 0.05) > np.cos(np.radians(10))
     assert depths_of_photos(WALL, 3).compared == 3
@@ -127,10 +127,10 @@ def test_a_photo_with_a_wrong_pose_spoils_nothing():
 
 def test_matched_points_judge_a_photo():
     view = stereo_views(WALL)[0]
-    wholly = Depth(np.full(view.gray.shape, AWAY), np.ones(view.gray.shape, bool))
+    wholly = np.full(view.gray.shape, AWAY)
     correct = evidence(view, wholly, WALL.points)
     assert correct == Evidence(len(view.matched), len(view.matched)) and correct.is_good
-    wrong = evidence(view, wholly._replace(z=wholly.z * 1.05), WALL.points)
+    wrong = evidence(view, wholly * 1.05, WALL.points)
     assert wrong == Evidence(0, len(view.matched)) and not wrong.is_good
     assert Evidence(0, FEWEST_CHECKED - 1).is_good and not Evidence(15, FEWEST_CHECKED).is_good
     assert Evidence(16, FEWEST_CHECKED).is_good
