@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsjax.meshing.connectivity import edge_table
+from gsjax.meshing.connectivity import EdgeTable, edge_table
 from gsjax.scene.meshes import Mesh
 
 NEAR_LARGEST = 0.5  # Triangles of this share of the largest weight and more are halved in one round.
@@ -32,7 +32,7 @@ def bisect_triangles(mesh: Mesh, weights: np.ndarray, count: int) -> Mesh:
         rank = np.empty(len(lengths), np.int64)
         rank[np.argsort(lengths, kind="stable")] = np.arange(len(lengths))
         longest = edges.of_face[np.arange(len(faces)), rank[edges.of_face].argmax(axis=1)]
-        both = _faces_of_edges(edges.of_face, len(lengths))
+        both = _faces_of_edges(edges)
         split = np.unique(_terminal(heavy, longest, both))
         middles = len(vertices) + np.arange(len(split))
         ends = edges.pairs[split]
@@ -42,18 +42,11 @@ def bisect_triangles(mesh: Mesh, weights: np.ndarray, count: int) -> Mesh:
     return Mesh(vertices.astype(np.float32), faces.astype(np.int32), np.round(colors).astype(np.uint8))
 
 
-def _faces_of_edges(of_face: np.ndarray, count: int) -> np.ndarray:
+def _faces_of_edges(edges: EdgeTable) -> np.ndarray:
     """`[E, 2]` the triangles at each edge; the second is -1 at a border."""
-    flat = of_face.reshape(-1)
-    order = np.argsort(flat, kind="stable")
-    owners, edges = order // 3, flat[order]
-    first = np.searchsorted(edges, np.arange(count))
-    both = np.full((count, 2), -1)
-    both[:, 0] = owners[first]
-    second = np.minimum(first + 1, len(edges) - 1)
-    has_second = (edges[second] == np.arange(count)) & (second > first)
-    both[has_second, 1] = owners[second[has_second]]
-    return both
+    owners = np.argsort(edges.of_face, axis=None, kind="stable") // 3
+    last = np.cumsum(edges.faces) - 1
+    return np.stack([owners[last + 1 - edges.faces], np.where(edges.faces > 1, owners[last], -1)], axis=1)
 
 
 def _terminal(faces: np.ndarray, longest: np.ndarray, both: np.ndarray) -> np.ndarray:

@@ -178,7 +178,7 @@ def _laplacian(mesh: Mesh) -> sparse.csr_matrix:
     ends = edge_table(mesh.faces).pairs
     both = np.concatenate([ends, ends[:, ::-1]])
     adjacent = sparse.csr_matrix((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
-    return sparse.csr_matrix(sparse.diags(np.asarray(adjacent.sum(axis=1)).ravel()) - adjacent)
+    return sparse.csr_matrix(sparse.csgraph.laplacian(adjacent))
 
 
 def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Fusion of the rendered depth into a truncated signed distance field, and its zero set: no wall is invented."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,7 @@ NormalsOfDepth = Callable[[np.ndarray, np.ndarray, Camera], np.ndarray]
 """Depth and alphas `[H, W]`, camera -> `[H, W, 3]` unit normals in its frame, towards it; zero where there is none."""
 
 
-@dataclass(frozen=True)
-class DepthView:
+class DepthView(NamedTuple):
     """One view as it is fused: 7 bytes a pixel."""
 
     camera: Camera

@@ -4,6 +4,7 @@ Distances are in scene units, in float64. Nearest neighbours are exact.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -43,7 +44,6 @@ def compare_to_truth(
     *,
     threshold: float | None = None,
     samples: int = 100_000,
-    seed: int = 0,
 ) -> dict[str, float]:
     """Distances and normals of a mesh against surface samples of the truth, for a truth that is nothing but points.
 
@@ -59,7 +59,6 @@ def compare_to_truth(
         truth_normals: `[Q, 3]` world.
         threshold: Of the F-score, scene units. None: 1 % of the diagonal of the box of the truth samples.
         samples: Points drawn on the mesh near the box.
-        seed: Of those points.
 
     Returns:
         `chamfer` (mean of the next two), `accuracy`, `completeness`, `precision`, `recall` and `fscore` at the
@@ -71,7 +70,7 @@ def compare_to_truth(
         NoSurfaceError: No surface of the mesh is in the box.
     """
     low, high, threshold = _box(truth_points, threshold)
-    points, normals = _samples_in_box(mesh, low, high, samples, seed)
+    points, normals = _samples_in_box(mesh, low, high, samples)
     to_truth, there = nearest(points, truth_points)
     to_mesh, back = nearest(truth_points, points)
     cosines = _cosines(normals, truth_normals[there]), _cosines(truth_normals, normals[back])
@@ -87,7 +86,6 @@ def compare_to_surface(
     *,
     threshold: float | None = None,
     samples: int = 100_000,
-    seed: int = 0,
 ) -> dict[str, float]:
     """Distances and normals of a mesh against true triangles, point to surface both ways: what is true scores 0.
 
@@ -105,7 +103,6 @@ def compare_to_surface(
         closest: Finds nearest points of a surface: `gsjax.meshing.ray_queries.closest_on_mesh`.
         threshold: Of the F-score, scene units. None: 1 % of the diagonal of the box of the seen points.
         samples: Points drawn on the mesh near the box.
-        seed: Of those points.
 
     Returns:
         As of `compare_to_truth`; normals are those of the triangles, and `seen_normals`.
@@ -115,7 +112,7 @@ def compare_to_surface(
     """
     low, high, threshold = _box(seen_points, threshold)
     mesh, truth = _with_area(mesh), _with_area(truth)
-    points, normals = _samples_in_box(mesh, low, high, samples, seed)
+    points, normals = _samples_in_box(mesh, low, high, samples)
     feet, there = closest(truth, points)
     is_visible = nearest(feet, seen_points)[0] <= _reach(seen_points)
     if not is_visible.any():
@@ -176,29 +173,19 @@ def _reach(points: np.ndarray) -> float:
 def _with_area(mesh: Mesh) -> Mesh:
     """The mesh without triangles that have no area, hence no normal."""
     has_area = np.any(face_area_vectors(mesh) != 0, axis=1)
-    return Mesh(mesh.vertices, mesh.faces[has_area], mesh.colors)
+    return replace(mesh, faces=mesh.faces[has_area])
 
 
 def _scores(
     to_truth: np.ndarray, to_mesh: np.ndarray, ours: np.ndarray, theirs: np.ndarray, threshold: float
 ) -> dict[str, float]:
     """All scores, of the distances and the cosines in both directions."""
-    precision, recall, score = _within(to_truth, to_mesh, threshold)
     accuracy, completeness = float(to_truth.mean()), float(to_mesh.mean())
-    return {
-        "chamfer": (accuracy + completeness) / 2,
-        "accuracy": accuracy,
-        "completeness": completeness,
-        "precision": precision,
-        "recall": recall,
-        "fscore": score,
-        "fscore_quarter": _within(to_truth, to_mesh, threshold / 4)[2],
-        "fscore_half": _within(to_truth, to_mesh, threshold / 2)[2],
-        "fscore_double": _within(to_truth, to_mesh, threshold * 2)[2],
-        "normal_consistency": float((np.abs(ours).mean() + np.abs(theirs).mean()) / 2),
-        "outward_share": float((ours > 0).mean()),
-        "threshold": threshold,
-    }
+    fscores = [_within(to_truth, to_mesh, factor * threshold) for factor in (1, 1 / 4, 1 / 2, 2)]
+    consistency = float((np.abs(ours).mean() + np.abs(theirs).mean()) / 2)
+    chamfer, outward = (accuracy + completeness) / 2, float((ours > 0).mean())
+    values = chamfer, accuracy, completeness, *fscores[0], *(each[2] for each in fscores[1:]), consistency, outward
+    return dict(zip(SCORES, (*values, threshold), strict=True))
 
 
 def _within(to_truth: np.ndarray, to_mesh: np.ndarray, threshold: float) -> tuple[float, float, float]:
@@ -212,12 +199,12 @@ def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.sum(unit_or_zero(a.astype(np.float64)) * unit_or_zero(b.astype(np.float64)), axis=-1)
 
 
-def _samples_in_box(mesh: Mesh, low: np.ndarray, high: np.ndarray, count: int, seed: int):
+def _samples_in_box(mesh: Mesh, low: np.ndarray, high: np.ndarray, count: int):
     """Up to `count` samples and normals of the mesh's part in the box; faces that miss the box cost no samples."""
     corners = mesh.vertices[mesh.faces]
     touches = np.all((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high), axis=1)
     if touches.any():
-        points, normals = sample_surface(Mesh(mesh.vertices, mesh.faces[touches], mesh.colors), count, seed)
+        points, normals = sample_surface(replace(mesh, faces=mesh.faces[touches]), count, seed=0)
         inside = np.all((points >= low) & (points <= high), axis=1)
         if inside.any():
             return points[inside], normals[inside]

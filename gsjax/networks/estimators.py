@@ -11,7 +11,7 @@ from gsjax.errors import InputError
 from gsjax.io.images import resample
 from gsjax.io.normal_maps import resize_normals
 from gsjax.networks.records import DepthNetwork, NormalNetwork, decode_normals, is_reliable
-from gsjax.networks.runner import Runner, needed_output, output_names, usable
+from gsjax.networks.runner import Runner, output_names, usable
 from gsjax.normals.fitted_depth import DepthFit, fit_depth, fitted_depth, normals_of_depth, surface
 from gsjax.normals.from_depth import chosen_reduction
 from gsjax.scene import Frame, Scene, tracks_by_name
@@ -29,9 +29,8 @@ class NormalEstimator(Runner):
         """As of `Runner`."""
         super().__init__(network, weights)
         confidence = () if network.confidence is None else (network.confidence,)
-        normals, *others = output_names(self.graph, (network.normals, *confidence))
-        self._normals = needed_output(self.graph, network.normals, normals, "normals")
-        self._confidence = next((name for name in others if name != normals), None)
+        self._normals, others = output_names(self.graph, "normals", network.normals, *confidence)
+        self._confidence = next((name for name in others if name != self._normals), None)
 
     def __call__(self, frame: Frame) -> np.ndarray:
         """Return `[H, W, 3]` float32 of the frame's size: unit, in our axes, exactly zero where a normal is unknown.
@@ -41,15 +40,15 @@ class NormalEstimator(Runner):
         Raises:
             InputError: The photo cannot be read, or the graph does not give normals for it.
         """
-        pixels, place = frame.pixels(), self.place(frame)
+        pixels = frame.pixels()
         names = [self._normals] if self._confidence is None else [self._normals, self._confidence]
         outputs = self.outputs(frame, pixels, names)
-        raw = self.output_map(outputs[0], 3, place, "normals, three values")
+        raw = self.output_map(outputs[0], 3, frame, "normals, three values")
         valid = np.ones(raw.shape[:2], bool)
         if self._confidence is not None and self.network.confidence is not None:
-            confidence = self.finite(self.output_map(outputs[1], 1, place, "confidence, one value"), valid, frame)
+            confidence = self.finite(self.output_map(outputs[1], 1, frame, "confidence, one value"), frame)
             valid = is_reliable(self.network.confidence, confidence[..., 0])
-        unit = decode_normals(self.network, np.where(valid[..., None], self.finite(raw, valid, frame), 0))
+        unit = decode_normals(self.network, np.where(valid[..., None], self.finite(raw, frame, valid), 0))
         return resize_normals(unit, frame.width, frame.height) * usable(pixels)[..., None]
 
 
@@ -69,8 +68,7 @@ class DepthEstimator(Runner):
     def __init__(self, network: DepthNetwork, weights: str | Path):
         """As of `Runner`."""
         super().__init__(network, weights)
-        (name,) = output_names(self.graph, [network.depth])
-        self._depth = needed_output(self.graph, network.depth, name, network.kind)
+        self._depth, _ = output_names(self.graph, network.kind, network.depth)
 
     def __call__(self, frame: Frame) -> NetworkDepth:
         """Return the depth at the network's size.
@@ -80,8 +78,8 @@ class DepthEstimator(Runner):
         """
         pixels, place = frame.pixels(), self.place(frame)
         (output,) = self.outputs(frame, pixels, [self._depth])
-        values = self.output_map(output, 1, place, f"{self.network.kind}, one value")
-        values = self.finite(values, np.ones(values.shape[:2], bool), frame)[..., 0]
+        values = self.output_map(output, 1, frame, f"{self.network.kind}, one value")
+        values = self.finite(values, frame)[..., 0]
         valid = resample(usable(pixels), place.width, place.height).reshape(values.shape) > 0.5
         scale = np.array([place.width / frame.width, place.height / frame.height, 1], np.float32)
         return NetworkDepth(values, valid, frame.K * scale[:, None])

@@ -62,8 +62,9 @@ class Runner:
             feeds[port.name] = value.reshape((1,) * (len(port.shape) - value.ndim) + value.shape)
         return feeds
 
-    def output_map(self, output: np.ndarray, channels: int, place: CanvasFit, what: str) -> np.ndarray:
+    def output_map(self, output: np.ndarray, channels: int, frame: Frame, what: str) -> np.ndarray:
         """The part of an output that shows the photo, `[h, w, channels]` float32; `what` it must be, in words."""
+        place = self.place(frame)
         height, width = place.canvas
         field = _field(output, channels)
         if field is None or field.shape[0] * COARSEST < height or not same_shape(field.shape[1::-1], (width, height)):
@@ -74,7 +75,7 @@ class Runner:
             field = resample(field, width, height).reshape(height, width, channels)
         return field[place.top : place.top + place.height, place.left : place.left + place.width]
 
-    def finite(self, values: np.ndarray, where: np.ndarray, frame: Frame) -> np.ndarray:
+    def finite(self, values: np.ndarray, frame: Frame, where: np.ndarray | bool = True) -> np.ndarray:
         """The `[h, w, C]` values, which are all finite `where` `[h, w]` they count, or InputError."""
         broken = (~np.isfinite(values).all(axis=-1) & where).sum()
         if broken:
@@ -107,19 +108,18 @@ def _extra_inputs(network: Network, graph: Graph, picture: Port) -> list[tuple[P
     return [(port, kinds[port.name]) for port in ports]
 
 
-def output_names(graph: Graph, outputs: Sequence[Output | Confidence]) -> list[str | None]:
-    """The graph's names of the wanted outputs: by name, or by place where all names are foreign; None: not there."""
+def output_names(graph: Graph, what: str, output: Output, *others: Output | Confidence) -> tuple[str, list[str | None]]:
+    """The graph's name of an output that must be there, `what` in words, and those of others; None: not there.
+
+    They are found by name, or by place where all names are foreign.
+    """
     names = [port.name for port in graph.outputs]
-    foreign = not any(name in names for output in outputs for name in output.names)
-    return [_output_name(output, names, foreign) for output in outputs]
-
-
-def needed_output(graph: Graph, output: Output, name: str | None, what: str) -> str:
-    """The name of an output that must be there; `what` it is, in words."""
-    if name is None:
+    foreign = not any(name in names for each in (output, *others) for name in each.names)
+    first, *more = (_output_name(each, names, foreign) for each in (output, *others))
+    if first is None:
         looked_for = " or ".join(output.names) or f"output {output.place}"
         raise InputError(f"{graph.file}: gives no {what} ({looked_for}); its outputs are {_listed(graph.outputs)}")
-    return name
+    return first, more
 
 
 def _output_name(output: Output | Confidence, names: list[str], by_place: bool) -> str | None:

@@ -8,7 +8,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.images import resample
 from gsjax.networks.records import BACKGROUND, MaskNetwork
-from gsjax.networks.runner import Runner, needed_output, output_names
+from gsjax.networks.runner import Runner, output_names
 from gsjax.scene import Pixels, frame_of
 
 
@@ -20,8 +20,7 @@ class Segmenter(Runner):
     def __init__(self, network: MaskNetwork, weights: str | Path, classes: Sequence[str]):
         """As of `Runner`; the classes are names of the record's, see `chosen_classes`."""
         super().__init__(network, weights)
-        (name,) = output_names(self.graph, (network.output,))
-        self._output = needed_output(self.graph, network.output, name, "classes")
+        self._output, _ = output_names(self.graph, "classes", network.output)
         self._chosen = [network.classes.index(name) for name in classes]
 
     def __call__(self, picture: np.ndarray, name: str) -> np.ndarray:
@@ -34,8 +33,7 @@ class Segmenter(Runner):
         frame = frame_of(name, np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32), pixels)
         (output,) = self.outputs(frame, pixels, [self._output])
         evidence, bound = self._evidence(output)
-        evidence_map = self.output_map(evidence, 1, self.place(frame), "a class, one value")
-        evidence_map = self.finite(evidence_map, np.ones(evidence_map.shape[:2], bool), frame)
+        evidence_map = self.finite(self.output_map(evidence, 1, frame, "a class, one value"), frame)
         return resample(evidence_map, frame.width, frame.height).reshape(picture.shape[:2]) > bound
 
     def _evidence(self, output: np.ndarray) -> tuple[np.ndarray, float]:

@@ -108,9 +108,8 @@ def share_compared(apart: float | None) -> float:
 def full_size(confidence: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Return a confidence `[h, w]` of the working size at that of the whole map, `[H, W]`."""
     stride = stride_of(shape)
-    grown = np.repeat(np.repeat(confidence, stride, axis=0), stride, axis=1)
-    missing = [(0, max(0, side - have)) for side, have in zip(shape, grown.shape, strict=True)]
-    return np.pad(grown, missing, mode="edge")[: shape[0], : shape[1]]
+    sides = zip(shape, confidence.shape, strict=True)
+    return confidence[np.ix_(*(np.minimum(np.arange(side) // stride, small - 1) for side, small in sides))]
 
 
 def _world_points(view: View) -> np.ndarray:
