@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gsjax.io.scenes import load_scene
-from gsjax.normals import sdf
 from gsjax.planning.sizes import training_extent
 from gsjax.settings import Settings
 from gsjax.training.terms import Term
@@ -28,7 +27,7 @@ def make_terms(extent: Callable[[], float]) -> dict[str, Term]:
     return {
         "sugar_sdf": Term(around.shown_to(sugar.sugar_sdf), {"depth", "gaussians"}),
         "sugar_density": Term(around.shown_to(sugar.sugar_density), {"gaussians"}),
-        "axis_normal": Term(alignment_term(sdf.smallest_axis_map), {"axes", "normals"}),
+        "axis_normal": Term(alignment_term(lambda gaussians, view, camera: view.axes), {"axes", "normals"}),
     }
 
 

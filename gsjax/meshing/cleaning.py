@@ -1,7 +1,7 @@
 """Taking out of a mesh what no later stage should have to expect, and saying what was there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,21 +12,9 @@ from gsjax.meshing.connectivity import edge_table, face_components
 from gsjax.scene.meshes import Mesh, face_area_vectors
 
 
-@dataclass(frozen=True)
-class CleaningReport:
-    """What was taken out of a mesh."""
-
-    degenerate_faces: int  # a corner twice, or no area
-    duplicate_faces: int  # the same three corners again
-    non_manifold_faces: int  # smaller ones at edges of more than two triangles
-    small_components: int
-    small_component_faces: int  # with them
-    decimated_faces: int  # saved by decimation
-
-
 def clean(
     mesh: Mesh, *, min_component_share: float = 0.01, max_faces: int | None = None
-) -> tuple[Mesh, CleaningReport]:
+) -> tuple[Mesh, dict[str, int]]:
     """Merge equal vertices, remove degenerate, duplicate, non-manifold and isolated triangles, then decimate.
 
     Args:
@@ -35,7 +23,9 @@ def clean(
         max_faces: Above this number of triangles, quadric decimation reduces it. None: never.
 
     Returns:
-        The mesh without unused vertices, and what was done.
+        The mesh without unused vertices, and what was taken out: `degenerate_faces`, with a corner twice or no area;
+        `duplicate_faces`, the same three corners again; `non_manifold_faces`, smaller ones at edges of more than two
+        triangles; `small_components` and `small_component_faces` with them; `decimated_faces`, saved by decimation.
 
     Raises:
         NoSurfaceError: Nothing is left.
@@ -48,14 +38,14 @@ def clean(
     if not result.num_faces:
         raise NoSurfaceError(f"no mesh: nothing of {mesh.num_faces} triangles is left after cleaning")
 
-    return result, CleaningReport(
-        degenerate_faces=degenerate,
-        duplicate_faces=duplicate,
-        non_manifold_faces=merged.num_faces - manifold.num_faces,
-        small_components=small,
-        small_component_faces=small_faces,
-        decimated_faces=large_parts.num_faces - decimated.num_faces,
-    )
+    return result, {
+        "degenerate_faces": degenerate,
+        "duplicate_faces": duplicate,
+        "non_manifold_faces": merged.num_faces - manifold.num_faces,
+        "small_components": small,
+        "small_component_faces": small_faces,
+        "decimated_faces": large_parts.num_faces - decimated.num_faces,
+    }
 
 
 def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
@@ -82,7 +72,7 @@ def _merge_vertices(mesh: Mesh) -> Mesh:
     # lexsort is stable, so that a run begins with its first vertex.
     same_as = np.empty(len(order), np.int32)
     same_as[order] = order[is_new][np.cumsum(is_new) - 1]
-    return Mesh(mesh.vertices, same_as[mesh.faces], mesh.colors)
+    return replace(mesh, faces=same_as[mesh.faces])
 
 
 def _distinct_faces(mesh: Mesh) -> tuple[Mesh, int, int]:
@@ -92,7 +82,7 @@ def _distinct_faces(mesh: Mesh) -> tuple[Mesh, int, int]:
     has_area = np.any(face_area_vectors(mesh) != 0, axis=1) & ~repeats_corner
     solid = mesh.faces[has_area]
     first = np.sort(np.unique(sorted_faces[has_area], axis=0, return_index=True)[1])
-    return Mesh(mesh.vertices, solid[first], mesh.colors), mesh.num_faces - len(solid), len(solid) - len(first)
+    return replace(mesh, faces=solid[first]), mesh.num_faces - len(solid), len(solid) - len(first)
 
 
 def _manifold(mesh: Mesh) -> Mesh:
@@ -108,7 +98,7 @@ def _manifold(mesh: Mesh) -> Mesh:
     largest = np.zeros(keys.size, bool)
     largest[by_area[np.unique(keys.ravel()[by_area], return_index=True)[1]]] = True
     is_kept = np.all(largest.reshape(-1, 3) | ~crowded, axis=1)
-    return Mesh(mesh.vertices, mesh.faces[is_kept], mesh.colors)
+    return replace(mesh, faces=mesh.faces[is_kept])
 
 
 def _large_components(mesh: Mesh, min_share: float) -> tuple[Mesh, int, int]:
@@ -118,7 +108,7 @@ def _large_components(mesh: Mesh, min_share: float) -> tuple[Mesh, int, int]:
     labels, sizes = face_components(mesh.faces, edge_table(mesh.faces))
     small = sizes < min_share * sizes.max()
     faces = mesh.faces[~small[labels]]
-    return Mesh(mesh.vertices, faces, mesh.colors), int(small.sum()), mesh.num_faces - len(faces)
+    return replace(mesh, faces=faces), int(small.sum()), mesh.num_faces - len(faces)
 
 
 def _decimate(mesh: Mesh, max_faces: int | None) -> Mesh:

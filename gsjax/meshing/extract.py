@@ -101,7 +101,7 @@ def _part(samples: SurfaceSamples, region: Region, max_faces: int | None, simila
         )
     rough, build_report = samples.build(region)
     mesh, cleaning = clean(cut_to_region(rough, region), max_faces=max_faces)
-    return mesh, {"box": region.corners(similarity), "points_seen": count, **build_report, "cleaning": asdict(cleaning)}
+    return mesh, {"box": region.corners(similarity), "points_seen": count, **build_report, "cleaning": cleaning}
 
 
 def cut_to_region(mesh: Mesh, region: Region) -> Mesh:

@@ -1,7 +1,6 @@
 """Holes of a mesh are closed where views show a surface; what no view observes, or views see through, stays open."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,16 +14,7 @@ PER_PATCH = 32  # Points at which the views are asked about a patch.
 SUPPORTING = 2  # Views that show a surface at such a point: one alone may be wrong.
 
 
-@dataclass(frozen=True)
-class HoleReport:
-    """What was closed."""
-
-    patches: int  # over holes that are no wider than `WIDEST`
-    closed: int  # those that views support, and whose triangles fit between those that were there
-    closed_faces: int  # with so many triangles
-
-
-def fill_holes(mesh: Mesh, views: Sequence[CoarseDepth]) -> tuple[Mesh, HoleReport]:
+def fill_holes(mesh: Mesh, views: Sequence[CoarseDepth]) -> tuple[Mesh, dict[str, int]]:
     """Closes a hole where at most of its points at least two views show a surface, and no fewer than look through it.
 
     A view supports a point whose depth is within `SAME_SURFACE` of the one that it shows there, and looks through the
@@ -32,11 +22,13 @@ def fill_holes(mesh: Mesh, views: Sequence[CoarseDepth]) -> tuple[Mesh, HoleRepo
     mesh is oriented and clean.
 
     Returns:
-        The mesh with the same vertices and more triangles, oriented like those around them; and what was closed.
+        The mesh with the same vertices and more triangles, oriented like those around them; and a report: `patches`
+        over holes that are no wider than `WIDEST`, and those `closed`, with `closed_faces`: which views support, and
+        whose triangles fit between those that were there.
     """
     patches = _patches(mesh)
     if not len(patches):
-        return mesh, HoleReport(0, 0, 0)
+        return mesh, {"patches": 0, "closed": 0, "closed_faces": 0}
     labels, sizes = face_components(patches, edge_table(patches))
     is_seen = _are_seen(mesh, patches, labels, len(sizes), views)[labels]
     patches, labels = patches[is_seen], labels[is_seen]
@@ -44,7 +36,7 @@ def fill_holes(mesh: Mesh, views: Sequence[CoarseDepth]) -> tuple[Mesh, HoleRepo
     fits = ~np.isin(labels, labels[_conflicts(mesh.faces, added)])
     added, labels = added[fits], labels[fits]
     whole = Mesh(mesh.vertices, np.concatenate([mesh.faces, added]).astype(np.int32), mesh.colors)
-    return whole, HoleReport(len(sizes), len(np.unique(labels)), len(added))
+    return whole, {"patches": len(sizes), "closed": len(np.unique(labels)), "closed_faces": len(added)}
 
 
 def _patches(mesh: Mesh) -> np.ndarray:

@@ -33,25 +33,21 @@ def evidence_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
         lines = lines.within(boxes)
     if len(lines) >= FEWEST_LINES:
         says = f"{len(lines):,} lines of sight to matched points"
-        return Witness(says, lambda mesh: track_visibility(mesh, lines)._asdict(), 0.04)
+        return Witness(says, lambda mesh: track_visibility(mesh, lines), 0.04)
     silhouettes = () if boxes else silhouettes_of(scene)
     if not silhouettes:
         return None
-    return Witness(f"its outline in {len(silhouettes)} photos", lambda mesh: overlap(mesh, silhouettes)._asdict(), 0.02)
+    return Witness(f"its outline in {len(silhouettes)} photos", lambda mesh: overlap(mesh, silhouettes), 0.02)
 
 
-class Selection(NamedTuple):
-    """The method that was selected, and how it compares."""
-
-    method: str
-    judgements: dict[str, dict]  # method's name -> what the witness says of its mesh, and the `seconds` that that took
-
-
-def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness) -> Selection:
+def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness) -> tuple[str, dict[str, dict]]:
     """Return the first method, or the best fitting one of those that fit clearly better to the witness.
 
     Clearly better is better by the witness' margin, or if no more than `UNMET` of the contradictions is left. A
     method that finds no surface is left out, and the first that finds one is the usual. One mesh at a time exists.
+
+    Returns:
+        Its name, and by method what the witness says of its mesh, and the `seconds` that that took.
 
     Raises:
         InputError: No method finds a surface; or as they do.
@@ -75,4 +71,4 @@ def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness
             best, to_beat = name, agrees
     if not best:
         raise faults[0]
-    return Selection(best, judgements)
+    return best, judgements

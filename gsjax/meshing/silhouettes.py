@@ -27,14 +27,6 @@ class Silhouette(NamedTuple):
     usable: np.ndarray  # [H, W] bool, False where a mask hides the photo
 
 
-class Overlap(NamedTuple):
-    """Shares of the pixels that the object or the mesh covers, which add up to 1."""
-
-    both: float
-    mesh_alone: float
-    object_alone: float
-
-
 def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
     """Those of at most `MOST_PHOTOS` photos, evenly chosen; none where one of them has no matte.
 
@@ -59,12 +51,16 @@ def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
     return tuple(silhouettes)
 
 
-def overlap(mesh: Mesh, silhouettes: Sequence[Silhouette]) -> Overlap:
-    """How the silhouettes of a mesh, in the scene's coordinates, cover those of the object, one at least."""
+def overlap(mesh: Mesh, silhouettes: Sequence[Silhouette]) -> dict[str, float]:
+    """How the silhouettes of a mesh, in the scene's coordinates, cover those of the object, one at least.
+
+    Returns:
+        Shares of the pixels that the object or the mesh covers, which add up to 1: `both`, `mesh_alone` and
+        `object_alone`.
+    """
     cast, counts = ray_caster(mesh), np.zeros(3, np.int64)
     for camera, is_object, usable in silhouettes:
         is_covered = depth_of_mesh(cast, camera) > 0
-        counts += [
-            np.sum(part & usable) for part in (is_covered & is_object, is_covered & ~is_object, is_object & ~is_covered)
-        ]
-    return Overlap(*(counts / max(counts.sum(), 1)))
+        parts = is_covered & is_object, is_covered & ~is_object, is_object & ~is_covered
+        counts += [np.sum(part & usable) for part in parts]
+    return dict(zip(("both", "mesh_alone", "object_alone"), counts / max(counts.sum(), 1), strict=True))

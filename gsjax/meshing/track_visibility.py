@@ -7,7 +7,6 @@ their points, so a very short run may still have some there. And where there is 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,15 +38,6 @@ class TrackRays:
         return TrackRays(self.origins[inside], self.points[inside])
 
 
-class TrackVisibility(NamedTuple):
-    """Shares of the sightlines, which add up to 1, by what a mesh makes of them."""
-
-    met: float  # at their point
-    nothing: float  # the line meets no surface, however long it is made
-    before: float  # something is in the line
-    behind: float  # the line meets a surface only beyond its point
-
-
 def track_rays(scene: Scene) -> TrackRays:
     """The lines of all tracks of three photos and more; observations that fit their point badly are left out.
 
@@ -75,10 +65,15 @@ def track_rays(scene: Scene) -> TrackRays:
     return TrackRays(np.concatenate(origins)[fits], np.concatenate(points)[fits])
 
 
-def track_visibility(mesh: Mesh, lines: TrackRays) -> TrackVisibility:
-    """What a mesh makes of the sightlines, one at least: what each of them meets first, whichever side of it."""
+def track_visibility(mesh: Mesh, lines: TrackRays) -> dict[str, float]:
+    """What a mesh makes of the sightlines, one at least, by what each of them meets first, whichever side of it.
+
+    Returns:
+        Shares that add up to 1: `met` at its point; `nothing`, however long the line is made; something `before` the
+        point, in the line; and a surface only `behind` it.
+    """
     shares = ray_caster(mesh)(lines.origins, lines.points - lines.origins).distances  # 1: at the point
     nothing, before, behind = ~np.isfinite(shares), shares < 1 - SAME_SURFACE, shares > 1 + SAME_SURFACE
     parts = {"nothing": nothing, "before": before, "behind": behind & ~nothing}
     fractions = {name: float(part.mean()) for name, part in parts.items()}
-    return TrackVisibility(met=1 - sum(fractions.values()), **fractions)
+    return {"met": 1 - sum(fractions.values()), **fractions}

@@ -96,13 +96,6 @@ def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     return jnp.where(stencil[..., None], jnp.cross(down, right), 0)
 
 
-def smallest_axis_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
-    """`[H, W, 3]` baseline (DN-Splatter): each Gaussian's smallest axis, composited with the view."""
-    del gaussians, camera
-    assert view.axes is not None, "the view is rendered with axes"
-    return view.axes
-
-
 def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
     """The regulariser R: mean of 1 - |cos| over valid pixels, in [0, 1].
 

@@ -20,7 +20,7 @@ from gsjax.meshing.mesh_method import Method
 from gsjax.meshing.methods import AUTO, USUAL, MeshMethod, MethodOptions, methods_of
 from gsjax.meshing.photo_refine import refine_on_photos
 from gsjax.meshing.regions import Crop, crop_of
-from gsjax.meshing.select_method import Selection, evidence_of, select_method
+from gsjax.meshing.select_method import evidence_of, select_method
 from gsjax.pipeline.mesh_views import MeshViews
 from gsjax.report import tables
 from gsjax.runs.outputs import require_apart
@@ -118,7 +118,7 @@ def mesh(
     report |= {"method": name, "tried": judgements, "floaters": floaters, "holes": None, "photo_refine": None}
     if fill_holes:
         surface, closed = holes.fill_holes(surface, views.rendered)
-        report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
+        report |= {"holes": closed, "topology": asdict(topology(surface))}
     if photo_refine and data is not None:
         surface, report["photo_refine"] = refine_on_photos(surface, data.train_frames)
     write_mesh(out, result.similarity.mesh_to_world(surface), result.place)
@@ -153,23 +153,23 @@ def _to_local(request: Request, result: Result) -> Request:
     return request._replace(options=options, crop=crop)
 
 
-def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshViews) -> Selection:
+def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshViews) -> tuple[str, dict[str, dict]]:
     """Return the only method; of several, that which fits best to the data set, or the usual one without it.
 
     They are judged by meshes of a tenth of the views and of the points.
     """
     if len(methods) == 1:
-        return Selection(next(iter(methods)), {})
+        return next(iter(methods)), {}
     is_judged = views.data is not None and not _made_for_the_level_set(views.result.source)
     witness = evidence_of(views.data, request.crop.boxes) if is_judged else None
     if witness is None:
-        return Selection(USUAL, {})
+        return USUAL, {}
     ids = views.spread(max(len(views.ids) // 10, FEWEST_TRIED))
     extract = partial(_extract, request=request._replace(options=request.options.for_comparison), views=views, ids=ids)
-    selection = select_method({name: lambda m=m: extract(m)[0] for name, m in methods.items()}, witness)
-    print(f"mesh: {selection.method}, by {witness.says}", file=sys.stderr)
-    print(tables.compare(selection.judgements), file=sys.stderr)
-    return selection
+    name, judgements = select_method({name: lambda m=m: extract(m)[0] for name, m in methods.items()}, witness)
+    print(f"mesh: {name}, by {witness.says}", file=sys.stderr)
+    print(tables.compare(judgements), file=sys.stderr)
+    return name, judgements
 
 
 def _made_for_the_level_set(source: Path) -> bool:

@@ -217,12 +217,7 @@ def prepare_mesh(original: Mesh, most_faces: int, halved_share: float = 0.0) -> 
     if original.num_faces > most_faces:
         most_faces = max(round((1 - halved_share) * most_faces), 1)
     mesh, report = clean(original, min_component_share=0.0, max_faces=most_faces)
-    taken_out = {
-        "degenerate": report.degenerate_faces,
-        "duplicate": report.duplicate_faces,
-        "non_manifold": report.non_manifold_faces,
-        "decimated": report.decimated_faces,
-    }
+    taken_out = {name: report[f"{name}_faces"] for name in ("degenerate", "duplicate", "non_manifold", "decimated")}
     if any(taken_out.values()):
         counts = ", ".join(f"{count:,} {name.replace('_', '-')}" for name, count in taken_out.items() if count)
         print(f"refine: {mesh.num_faces:,} of {original.num_faces:,} triangles are left; {counts}", file=sys.stderr)

@@ -36,7 +36,7 @@ def views(count=3):
 def test_a_hole_is_closed_where_views_show_a_surface():
     mesh = sheet()
     result, report = fill_holes(mesh, views())
-    assert (report.patches, report.closed, report.closed_faces) == (3, 1, result.num_faces - mesh.num_faces)
+    assert report == {"patches": 3, "closed": 1, "closed_faces": result.num_faces - mesh.num_faces}
     added = face_area_vectors(Mesh(mesh.vertices, result.faces[mesh.num_faces :], mesh.colors))
     np.testing.assert_allclose(added.sum(axis=0), [0, 0, 9], atol=1e-4)
     middles = mesh.vertices[result.faces[mesh.num_faces :]].mean(axis=1)[:, :2]
@@ -53,6 +53,6 @@ def test_a_torn_sheet_gets_no_edge_with_three_triangles():
     whole = sheet(())
     torn = replace(whole, faces=whole.faces[np.random.default_rng(1).random(whole.num_faces) > 0.4])
     result, report = fill_holes(torn, far_views)
-    assert 0 < report.closed < report.patches, "one of the patches has an edge that the sheet has"
+    assert 0 < report["closed"] < report["patches"], "one of the patches has an edge that the sheet has"
     assert topology(torn).oriented and topology(result).oriented
     assert topology(result).boundary_loops < topology(torn).boundary_loops

@@ -23,7 +23,7 @@ def choice(margin=0.05, **shares: Any):
         return meshes[name]
 
     methods = {name: lambda name=name: extract(name) for name in shares}
-    return select_method(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin)).method
+    return select_method(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin))[0]
 
 
 def test_the_usual_mesh_stays_unless_another_agrees_clearly_more():

@@ -67,11 +67,11 @@ def test_lines_are_those_of_tracks_that_fit(lines):
 def test_each_kind_of_miss_is_counted_as_it_is(lines):
     quarter = np.searchsorted([-2, 0, 2], lines.points[:, 0])
     shares = np.bincount(quarter, minlength=4) / len(lines)
-    assert track_visibility(wall(), lines) == pytest.approx(tuple(shares), abs=1e-12)
+    assert track_visibility(wall(), lines) == pytest.approx(dict(zip(PARTS, shares, strict=True)), abs=1e-12)
 
 
 def test_what_lies_within_the_tolerance_is_met(lines):
     near, there = AWAY * SAME_SURFACE * 0.9, lines.within([Box([0, -3, 0], [4, 3, 20])])
     assert 0 < len(there) < len(lines)
-    assert track_visibility(wall(lump=near, moved=near), there).met == 1
-    assert track_visibility(wall(), there).met == 0
+    assert track_visibility(wall(lump=near, moved=near), there)["met"] == 1
+    assert track_visibility(wall(), there)["met"] == 0
