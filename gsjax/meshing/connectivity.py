@@ -19,20 +19,6 @@ class EdgeTable:
     of_face: np.ndarray  # [F, 3] edge ids of each triangle
 
 
-@dataclass(frozen=True)
-class Topology:
-    """Pieces and borders of a mesh, as plain numbers."""
-
-    components: int  # pieces connected by edges
-    largest_component_share: float  # of the faces
-    watertight: bool  # every edge has two triangles
-    oriented: bool  # neighbours run along their common edge in opposite directions
-    inside_out: bool  # watertight, and encloses a negative volume
-    boundary_loops: int  # connected runs of edges with one triangle: rims of holes, and open ends
-    boundary_length: float  # of all of them, scene units
-    largest_hole: float  # length of the longest, scene units
-
-
 def edge_table(faces: np.ndarray) -> EdgeTable:
     """The edges of `[F, 3]` faces."""
     directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
@@ -77,19 +63,26 @@ def border(mesh: Mesh) -> np.ndarray:
     return mesh.vertices[np.unique(edges.pairs[edges.faces == 1])]
 
 
-def topology(mesh: Mesh) -> Topology:
-    """Pieces, borders and orientation of a mesh with at least one face."""
+def topology(mesh: Mesh) -> dict[str, int | float | bool]:
+    """Pieces, borders and orientation of a mesh with at least one face.
+
+    Returns:
+        `components`, connected by edges; `largest_component_share` of the faces; `watertight`, every edge has two
+        triangles; `oriented`, neighbours run along their common edge in opposite directions; `inside_out`, watertight
+        with a negative volume; `boundary_loops`, connected runs of edges with one triangle: rims of holes, and open
+        ends; `boundary_length` of all of them and `largest_hole`, the length of the longest, scene units.
+    """
     edges = edge_table(mesh.faces)
     sizes = face_components(mesh.faces, edges)[1]
     loops = boundary_loops(mesh, edges)
     watertight = bool(np.all(edges.faces == 2))
-    return Topology(
-        components=len(sizes),
-        largest_component_share=float(sizes.max() / mesh.num_faces),
-        watertight=watertight,
-        oriented=bool(np.all(edges.same_direction < 2)),
-        inside_out=watertight and signed_volume(mesh) < 0,
-        boundary_loops=len(loops),
-        boundary_length=float(loops.sum()),
-        largest_hole=float(loops.max(initial=0)),
-    )
+    return {
+        "components": len(sizes),
+        "largest_component_share": float(sizes.max() / mesh.num_faces),
+        "watertight": watertight,
+        "oriented": bool(np.all(edges.same_direction < 2)),
+        "inside_out": watertight and signed_volume(mesh) < 0,
+        "boundary_loops": len(loops),
+        "boundary_length": float(loops.sum()),
+        "largest_hole": float(loops.max(initial=0)),
+    }

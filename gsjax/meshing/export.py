@@ -13,7 +13,7 @@ No axis is turned. glTF and USD call y "up": their viewers may show a scene with
 """
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -136,20 +136,17 @@ def glb_bytes(path: str | Path) -> bytes:
     return glb.encode_textured(textured)
 
 
-def supported_suffix(path: Path) -> str:
+def supported_suffix(path: Path, supported: Sequence[str] = SUFFIXES, what: str = "mesh files") -> str:
     """Return the path's suffix in lower case; InputError names the supported ones where it is none of them."""
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"{path}: mesh files end in {', '.join(SUFFIXES)}")
+    if suffix not in supported:
+        raise InputError(f"{path}: {what} end in {', '.join(supported)}")
     return suffix
 
 
 def textured_suffix(path: Path) -> str:
     """Return the suffix of a file with a texture, like `supported_suffix`."""
-    suffix = path.suffix.lower()
-    if suffix not in TEXTURED:
-        raise InputError(f"{path}: meshes with a texture end in {', '.join(TEXTURED)}")
-    return suffix
+    return supported_suffix(path, TEXTURED, "meshes with a texture")
 
 
 def _textured(part: Part) -> TexturedMesh | None:

@@ -1,7 +1,6 @@
 """From Gaussians and their rendered views to a clean mesh: see, choose regions, reconstruct each, clean, join."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
 
 import numpy as np
 
@@ -82,7 +81,7 @@ def extract_mesh(
         "method": method_name(method),
         "seen": samples.report,
         **reports,
-        "topology": asdict(topology(mesh)),
+        "topology": topology(mesh),
         "facing_share": facing,
     }
     return mesh, similarity.figures_to_world(report, LENGTHS)

@@ -49,18 +49,16 @@ class Runner:
         Raises:
             InputError: The graph does not run on it.
         """
-        return self.graph(self._feeds(frame, pixels, self.place(frame)), list(names))
-
-    def _feeds(self, frame: Frame, pixels: Pixels, place: CanvasFit) -> dict[str, np.ndarray]:
-        picture = normalize_picture(self.network, _on_canvas(_over_white(pixels), self.network, place))
+        network, place = self.network, self.place(frame)
+        picture = normalize_picture(network, _on_canvas(_over_white(pixels), network, place))
         feeds = {self._picture.name: picture.transpose(2, 0, 1)[None] if self.layout == "NCHW" else picture[None]}
         for port, kind in self._extra:
             if kind == "tokens":
-                value = np.array(token_count(self.network.size, place.canvas))
+                value = np.array(token_count(network.size, place.canvas))
             else:
-                value = input_intrinsics(frame.K, frame.width, frame.height, place, self.network.pixel_center)
+                value = input_intrinsics(frame.K, frame.width, frame.height, place, network.pixel_center)
             feeds[port.name] = value.reshape((1,) * (len(port.shape) - value.ndim) + value.shape)
-        return feeds
+        return self.graph(feeds, list(names))
 
     def output_map(self, output: np.ndarray, channels: int, frame: Frame, what: str) -> np.ndarray:
         """The part of an output that shows the photo, `[h, w, channels]` float32; `what` it must be, in words."""

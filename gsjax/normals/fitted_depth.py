@@ -2,6 +2,7 @@
 
 from typing import Literal, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -93,10 +94,8 @@ def surface(depth: Array, camera: Camera) -> Array:
     along_x = 0.5 * (padded[1:-1, 2:] - padded[1:-1, :-2]) * camera.K[0, 0]
     along_y = 0.5 * (padded[2:, 1:-1] - padded[:-2, 1:-1]) * camera.K[1, 1]
     steep = jnp.hypot(along_x, along_y) > np.tan(np.radians(STEEPEST)) * inverse
-    around = jnp.pad(steep | ~is_known, 1)
-    height, width = depth.shape
-    shifted = [around[y : y + height, x : x + width] for y in range(3) for x in range(3)]
-    return 1 - jnp.any(jnp.stack(shifted), axis=0).astype(depth.dtype)
+    none = jax.lax.reduce_window(steep | ~is_known, False, jax.lax.bitwise_or, (3, 3), (1, 1), "SAME")
+    return 1 - none.astype(depth.dtype)
 
 
 def normals_of_depth(depth: np.ndarray, camera: Camera, reduction: int) -> np.ndarray:

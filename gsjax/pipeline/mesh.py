@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -118,7 +118,7 @@ def mesh(
     report |= {"method": name, "tried": judgements, "floaters": floaters, "holes": None, "photo_refine": None}
     if fill_holes:
         surface, closed = holes.fill_holes(surface, views.rendered)
-        report |= {"holes": closed, "topology": asdict(topology(surface))}
+        report |= {"holes": closed, "topology": topology(surface)}
     if photo_refine and data is not None:
         surface, report["photo_refine"] = refine_on_photos(surface, data.train_frames)
     write_mesh(out, result.similarity.mesh_to_world(surface), result.place)

@@ -27,7 +27,7 @@ def test_the_surface_stays_where_it_was_with_smaller_triangles_where_weights_are
     halved = bisect_triangles(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
     assert 4 * ball_mesh.num_faces - 1 <= halved.num_faces <= 4 * ball_mesh.num_faces
     after, before = topology(halved), topology(ball_mesh)
-    assert after == before and after.watertight and after.oriented
+    assert after == before and after["watertight"] and after["oriented"]
     assert signed_volume(halved) == pytest.approx(signed_volume(ball_mesh), rel=1e-5)
     np.testing.assert_array_equal(halved.vertices[: ball_mesh.num_vertices], ball_mesh.vertices)
     away = np.linalg.norm(halved.vertices - closest_on_mesh(ball_mesh, halved.vertices)[0], axis=1)
