@@ -181,11 +181,11 @@ def _scores(
 ) -> dict[str, float]:
     """All scores, of the distances and the cosines in both directions."""
     accuracy, completeness = float(to_truth.mean()), float(to_mesh.mean())
-    fscores = [_within(to_truth, to_mesh, factor * threshold) for factor in (1, 1 / 4, 1 / 2, 2)]
-    consistency = float((np.abs(ours).mean() + np.abs(theirs).mean()) / 2)
-    chamfer, outward = (accuracy + completeness) / 2, float((ours > 0).mean())
-    values = chamfer, accuracy, completeness, *fscores[0], *(each[2] for each in fscores[1:]), consistency, outward
-    return dict(zip(SCORES, (*values, threshold), strict=True))
+    of_distance = (accuracy + completeness) / 2, accuracy, completeness
+    at_threshold = _within(to_truth, to_mesh, threshold)
+    fscores = [_within(to_truth, to_mesh, factor * threshold)[2] for factor in (1 / 4, 1 / 2, 2)]
+    of_normals = float((np.abs(ours).mean() + np.abs(theirs).mean()) / 2), float((ours > 0).mean())
+    return dict(zip(SCORES, (*of_distance, *at_threshold, *fscores, *of_normals, threshold), strict=True))
 
 
 def _within(to_truth: np.ndarray, to_mesh: np.ndarray, threshold: float) -> tuple[float, float, float]:
