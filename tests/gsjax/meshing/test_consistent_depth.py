@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from gsjax.meshing.consistent_depth import (
-    AGREEING,
-    SAME_AS_STEREO,
-    consistent_pictures,
-)
+from gsjax.meshing.consistent_depth import AGREEING, SAME_AS_STEREO, consistent_pictures
 from gsjax.rendering.coarse_depths import coarse_depth
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera

@@ -6,14 +6,7 @@ from meshes import ball, turned
 
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.cleaning import concatenate_meshes
-from gsjax.meshing.pictures import (
-    depth_of_mesh,
-    headlight,
-    render_mesh,
-    smooth_pictures,
-    texture_colors,
-    vertex_colors,
-)
+from gsjax.meshing.pictures import depth_of_mesh, headlight, render_mesh, smooth_pictures, texture_colors, vertex_colors
 from gsjax.meshing.ray_queries import front_faces_only, ray_caster
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh
