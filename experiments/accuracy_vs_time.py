@@ -31,7 +31,7 @@ from gsjax.io.files import atomic_path
 NAME = "accuracy_vs_time"
 PRESETS = "quick", "fast", "balanced"
 SURFACE = {"f5": "F at 5 cm", "chamfer": "Chamfer distance, 1e-3"}
-HEADS = "Scene | Preset | Normals | Steps; Gaussians | Processor seconds | PSNR | SSIM | Mesh normals | Surface"
+HEADS = "Normals", "Steps; Gaussians", "Processor seconds", "PSNR", "SSIM", "Mesh normals", "Surface"
 
 
 def run(out: Path, scenes: Mapping[str, str], seeds: int, presets: Sequence[str]) -> list[Row]:
@@ -103,11 +103,12 @@ def _gsjax(*arguments: str) -> None:
 
 
 def page_table(rows: Sequence[Row]) -> str:
-    """The table of the page: means over seeds, and half of the range from least to most."""
+    """The table of the page: means over seeds, and half of the range; minutes where all rows have them."""
+    has_minutes = all("minutes" in row for row in rows)
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["scene"], row["preset"], row["vanilla"]), []).append(row)
-    lines = []
+    lines = [["Scene", "Preset", *["Minutes"] * has_minutes, *HEADS]]
     for (scene, preset, vanilla), group in groups.items():
         first = group[0]
         normals = "none" if vanilla or preset == "quick" else "stereo of the photos"
@@ -116,6 +117,7 @@ def page_table(rows: Sequence[Row]) -> str:
             [
                 f"*{scene}*",
                 f"vanilla 3DGS, steps of `{preset}`" if vanilla else f"`{preset}`",
+                *([spread(group, "minutes", 1)] if has_minutes else []),
                 normals,
                 f"{first['steps']:,}; {first['gaussians']:,}",
                 spread(group, "processor_seconds", 0),
@@ -125,8 +127,8 @@ def page_table(rows: Sequence[Row]) -> str:
                 f"{SURFACE[kind].split(',')[0]} {spread(group, kind, 3 if kind == 'f5' else 2)}" if kind else "",
             ]
         )
-    head = f"| {HEADS} |\n|{'---|' * len(HEADS.split('|'))}\n"
-    return head + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    head, *body = (f"| {' | '.join(line)} |\n" for line in lines)
+    return head + f"|{'---|' * len(lines[0])}\n" + "".join(body)
 
 
 def spread(rows: Sequence[Row], name: str, digits: int, unit: str = "") -> str:

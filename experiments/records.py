@@ -2,6 +2,7 @@
 
 import subprocess
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +17,21 @@ Row = dict[str, Any]
 def read(name: str) -> list[Row]:
     """The rows of `results/NAME.json` that today's product made; none where it changed."""
     before = json_files.read(file) if (file := RESULTS / f"{name}.json").exists() else {}
-    return before["rows"] if before.get("version") == _version() else []
+    return before["rows"] if before.get("version") == _about()["version"] else []
 
 
 def write(name: str, rows: Sequence[Row]) -> None:
     """Write the rows as `results/NAME.json`."""
+    json_files.write(RESULTS / f"{name}.json", {**_about(), "rows": rows})
+
+
+@cache
+def _about() -> dict[str, Any]:
+    """The product's content, whatever the pages say, the machine and the packages."""
     from gsjax.io.machine import machine, versions
 
-    about = {"version": _version(), "machine": machine(), "versions": versions()}
-    json_files.write(RESULTS / f"{name}.json", {**about, "rows": rows})
-
-
-def _version() -> str:
-    """The product's content, whatever the pages say."""
     trees = subprocess.run(
         ["git", "rev-parse", "HEAD:gsjax", "HEAD:rasterizer"], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    return "+".join(each[:8] for each in trees.stdout.split())
+    version = "+".join(each[:8] for each in trees.stdout.split())
+    return {"version": version, "machine": machine(), "versions": versions()}
