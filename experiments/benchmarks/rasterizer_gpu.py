@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from workloads import Scene, Workload, make_scene, milliseconds
+from workloads import Scene, Workload, make_scene, milliseconds, programs
 
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
@@ -83,28 +83,11 @@ def measure(scene: Scene, backend: str) -> dict[str, float]:
     import jax
     import jax.numpy as jnp
 
-    import rasterizer
-
-    arrays, width, height = scene
-    _, _, info = rasterizer.rasterization(*arrays, width, height, backend=backend)
-    capacity, pairs = int(info["splats"].shape[0]), int(info["offsets"][-1])
-
-    grid = rasterizer.TileGrid(1, width, height, rasterizer.default_tile_size(backend))
-
-    def projected(arrays):
-        return rasterizer.project(*arrays[:4], *arrays[5:], width, height)
-
-    def listed(arrays):
-        return rasterizer.bin_splats(projected(arrays), arrays[3], grid, capacity, rasterizer.GSPLAT, backend=backend)
-
-    def image(arrays):
-        return rasterizer.rasterization(*arrays, width, height, capacity=capacity, backend=backend)[0]
-
+    arrays, (projected, listed, image, pairs, pixel_pairs) = scene.arrays, programs(scene, backend)
     gradient = jax.jit(jax.grad(lambda a: jnp.sum(image((*a, *arrays[5:])) ** 2)))
     _, forward = milliseconds(jax.jit(image), arrays)
     _, both = milliseconds(gradient, arrays[:5])
     temporary = gradient.lower(arrays[:5]).compile().memory_analysis().temp_size_in_bytes
-    pixel_pairs = pairs * grid.tile_size**2
     return {
         "pairs": pairs,
         "projection_ms": milliseconds(jax.jit(projected), arrays)[1],
@@ -176,8 +159,6 @@ def steps_of(run: Path) -> dict[str, dict[str, float]]:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Compare, measure and print."""
-    # A script beside this one has the name of the package.
-    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", choices=("pallas", "xla"), default="pallas", help="engine to time")
     parser.add_argument("--counts", nargs="+", choices=COUNTS, default=list(COUNTS), help="numbers of Gaussians")

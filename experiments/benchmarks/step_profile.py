@@ -190,8 +190,6 @@ def measure(run: Path, rounds: int) -> dict[str, list[float]]:
 
 def main() -> None:
     """Measure and print one table, with machine and versions."""
-    # Run as a script, this folder holds a file of the package's name.
-    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
     parser.add_argument("--rounds", type=int, default=15)

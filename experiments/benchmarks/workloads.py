@@ -93,6 +93,37 @@ def scene_named(name: str) -> Scene:
     return heavy_tailed_scene() if name == HEAVY else golden_scene()
 
 
+class Programs(NamedTuple):
+    """What a backend computes from the arrays of a scene, and how much that is."""
+
+    projected: Callable[[Any], Any]
+    binned: Callable[[Any], Any]  # projected, and listed by tiles
+    image: Callable[[Any], Any]
+    pairs: int  # of a tile and a Gaussian
+    pixel_pairs: int  # of a pixel and a Gaussian that is listed for its tile
+
+
+def programs(scene: Scene, backend: Any) -> Programs:
+    """The programs of one backend."""
+    import rasterizer
+
+    arrays, width, height = scene
+    _, _, info = rasterizer.rasterization(*arrays, width, height, backend=backend)
+    capacity, pairs = int(info["splats"].shape[0]), int(info["offsets"][-1])
+    grid = rasterizer.TileGrid(1, width, height, rasterizer.default_tile_size(backend))
+
+    def projected(arrays):
+        return rasterizer.project(*arrays[:4], *arrays[5:], width, height)
+
+    def binned(arrays):
+        return rasterizer.bin_splats(projected(arrays), arrays[3], grid, capacity, rasterizer.GSPLAT, backend=backend)
+
+    def image(arrays):
+        return rasterizer.rasterization(*arrays, width, height, capacity=capacity, backend=backend)[0]
+
+    return Programs(projected, binned, image, pairs, pairs * grid.tile_size**2)
+
+
 def milliseconds(function: Callable[..., Any], *arguments: Any, repeats: int = 15) -> tuple[float, float]:
     """(first call, median of the later ones), milliseconds; the first compiles."""
     import jax

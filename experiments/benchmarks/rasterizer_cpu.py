@@ -1,6 +1,6 @@
 """How long does every stage of the tile rasterizer take on seeded workloads? Tables with the machine.
 
-    python experiments/benchmarks/rasterizer.py [--backend native | xla] [--only WORKLOAD] [--processes 3]
+    python experiments/benchmarks/rasterizer_cpu.py [--backend native | xla] [--only WORKLOAD] [--processes 3]
 
 A nanosecond figure is blending's time by (pixel, Gaussian) pairs: Gaussians listed for a tile times all of its pixels,
 whether they draw them or not. All are wall times: no other program may use the cores.
@@ -12,10 +12,9 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from workloads import GOLDEN, HEAVY, WORKLOADS, milliseconds, scene_named
+from workloads import GOLDEN, HEAVY, WORKLOADS, milliseconds, programs, scene_named
 
 from gsjax.cli import run_guarded
 from gsjax.io.machine import peak_memory
@@ -30,23 +29,9 @@ def measure(name: str, backend: Any) -> dict[str, float]:
     import jax
     import jax.numpy as jnp
 
-    import rasterizer
-
     jax.config.update("jax_enable_compilation_cache", False)  # Or compile times would be those of reading a file.
-    arrays, width, height = scene_named(name)
-    _, _, info = rasterizer.rasterization(*arrays, width, height, backend=backend)
-    capacity, pairs = int(info["splats"].shape[0]), int(info["offsets"][-1])
-    tile = rasterizer.default_tile_size(backend)
-    grid = rasterizer.TileGrid(1, width, height, tile)
-
-    def projected(arrays):
-        return rasterizer.project(*arrays[:4], *arrays[5:], width, height)
-
-    def binned(arrays):
-        return rasterizer.bin_splats(projected(arrays), arrays[3], grid, capacity, rasterizer.GSPLAT, backend=backend)
-
-    def image(arrays):
-        return rasterizer.rasterization(*arrays, width, height, capacity=capacity, backend=backend)[0]
+    scene = scene_named(name)
+    arrays, (projected, binned, image, pairs, pixel_pairs) = scene.arrays, programs(scene, backend)
 
     def projection_gradient(arrays):
         return jax.grad(lambda a: sum(jnp.sum(x) for x in (projected(a).means2d, projected(a).conics)))(arrays)
@@ -57,7 +42,6 @@ def measure(name: str, backend: Any) -> dict[str, float]:
     _, both_of_projection = milliseconds(jax.jit(projection_gradient), arrays)
     first, both = milliseconds(jax.jit(jax.grad(lambda a: jnp.sum(image(a) ** 2))), arrays)
     projection_backward = max(both_of_projection - projection, 0)
-    pixel_pairs = pairs * tile**2
     return {
         "pairs": pairs,
         "projection": projection,
@@ -76,8 +60,6 @@ def measure(name: str, backend: Any) -> dict[str, float]:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Measure and print."""
-    # Run as a script, this file would be found before the package of its name.
-    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     from gsjax.io.machine import machine, versions
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
