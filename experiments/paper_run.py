@@ -13,8 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from paper.measured import LPIPS, SQUEEZE
 from paper.scenes import PAPER_MESH, SCENES, SCHEDULES, settings_of
+from paper.tables import METRICS
 
 from gsjax import config
 from gsjax.cli import run_guarded
@@ -24,7 +24,7 @@ from gsjax.report import tables
 from gsjax.settings import PLAIN, Phase, Settings
 
 STAGES = ("train", "coarse", "mesh", "texture", "sheet", "refine", "refined")
-SCORES = ("psnr", "ssim", LPIPS, SQUEEZE, "gaussians", "views")
+SCORES = (*METRICS, "gaussians", "views")
 
 
 def run_settings(scene: str, schedule: str, seed: int, assignments: Sequence[str], refinement: Sequence[str]) -> dict:

@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from paper import report
-from paper.measured import found_runs, measurements, methods, run_folder
 from paper.scenes import DEFAULT_SCHEDULES, SCHEDULES, R, discover
+from paper.tables import markdown, measurements, methods, run_folder, run_results
 from paper_run import is_finished, read_result, run_settings
 
 from gsjax.cli import parsers, run_guarded
@@ -117,11 +116,10 @@ def write_tables(out: Path, schedules: Iterable[str]) -> None:
     """OUT/tables.md of all runs in the folder; the requested schedules have rows even without any."""
     from gsjax.io.files import atomic_path
 
-    results = found_runs(out)
+    results = run_results(out)
     names = methods({*schedules, *(schedule for _, schedule, _, _ in results)})
-    tables = report.tables(measurements(results), names, remarks(results))
     with atomic_path(Path(out) / "tables.md") as temporary:
-        temporary.write_text(report.markdown(tables), encoding="utf-8")
+        temporary.write_text(markdown(measurements(results), names, remarks(results)), encoding="utf-8")
 
 
 def remarks(results: Iterable[tuple[str, str, int, dict[str, Any]]]) -> dict[str, str]:

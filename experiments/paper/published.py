@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 from paper.scenes import BLENDING, INDOOR, OUTDOOR, TANKS
 
-METRICS = ("psnr", "ssim", "lpips")
-"""That the tables have, LPIPS of VGG."""
 PAPER, PAPER_7K = "The paper", "The paper (7K refinement)"
 
 PUBLISHED: dict[str, dict[str, tuple[float, float, float]]] = {
@@ -49,7 +47,7 @@ PUBLISHED: dict[str, dict[str, tuple[float, float, float]]] = {
         PAPER_7K: (29.72, 0.894, 0.277),
     },
 }
-"""PSNR in dB, SSIM, LPIPS: means over a part's scenes."""
+"""PSNR in dB, SSIM, LPIPS of VGG: means over a part's scenes."""
 
 LABELS = {INDOOR: "tab:mipnerf", OUTDOOR: "tab:mipnerf", TANKS: "tab:tanks", BLENDING: "tab:deepblend"}
 """The paper's own names of its tables."""
