@@ -112,13 +112,13 @@ def programs(scene: Scene, backend: Any) -> Programs:
     capacity, pairs = int(info["splats"].shape[0]), int(info["offsets"][-1])
     grid = rasterizer.TileGrid(1, width, height, rasterizer.default_tile_size(backend))
 
-    def projected(arrays):
+    def projected(arrays: Any) -> Any:
         return rasterizer.project(*arrays[:4], *arrays[5:], width, height)
 
-    def binned(arrays):
+    def binned(arrays: Any) -> Any:
         return rasterizer.bin_splats(projected(arrays), arrays[3], grid, capacity, rasterizer.GSPLAT, backend=backend)
 
-    def image(arrays):
+    def image(arrays: Any) -> Any:
         return rasterizer.rasterization(*arrays, width, height, capacity=capacity, backend=backend)[0]
 
     return Programs(projected, binned, image, pairs, pairs * grid.tile_size**2)

@@ -26,7 +26,7 @@ class RunScore(NamedTuple):
     scene: str
     method: str
     seed: int
-    figures: Mapping[str, float | None]  # by the names of `METRICS`
+    figures: Mapping[str, Any]  # by the names of `METRICS`; None or absent where there is none
 
 
 class Row(NamedTuple):
@@ -128,7 +128,7 @@ def _measured_row(measured: Sequence[RunScore], method: str, scenes: Sequence[st
     return Row((method, *cells, over, seeds, "measured" if scores else DASH), notes)
 
 
-def _mean(scores: Sequence[Mapping[int, Mapping[str, float | None]]], metric: str, digits: int) -> str:
+def _mean(scores: Sequence[Mapping[int, Mapping[str, Any]]], metric: str, digits: int) -> str:
     """The mean of the figures by scene and seed, and the standard deviation over the seeds that every scene has.
 
     A dash unless every one of the scenes has a figure: a mean must say what it is over.
