@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any
 
 from gsjax.cli import environment
-from gsjax.cli.parsers import add_command
+from gsjax.cli.parsers import Command, Parser, add_command
 from gsjax.cli.stopping import SIGNALS, Stopping
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.io.packages import check_installed
@@ -131,9 +131,9 @@ def _fault_of_the_machine(error: BaseException) -> str | None:
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands; `run` is what carries out the one that was given."""
-    top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
+    top = Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     top.add_argument("--version", action=_Version, help="say versions, device and engine, and exit")
-    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Command)
+    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Command)
     for name in COMMANDS:
         add_command(commands, name)
     return top
@@ -150,20 +150,3 @@ class _Version(argparse.Action):
 
         print(version_line())
         parser.exit()
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line, and where to read more, instead of repeating the usage."""
-
-    def error(self, message: str):
-        self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
-
-
-class _Command(_Parser):
-    """Refuses an unknown option with the help of this command; argparse would name that of all commands."""
-
-    def parse_known_args(self, args=None, namespace=None):
-        arguments, unknown = super().parse_known_args(args, namespace)
-        if unknown:
-            self.error(f"unrecognized arguments: {' '.join(unknown)}")
-        return arguments, unknown

@@ -1,10 +1,9 @@
 """`gsjax blocks`: a scene too large for one run, in several."""
 
-import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from gsjax.cli.parsers import About, count
+from gsjax.cli.parsers import About, Command, count
 from gsjax.cli.train import add_training, training
 
 ABOUT = About(
@@ -19,7 +18,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")

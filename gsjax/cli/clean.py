@@ -1,9 +1,8 @@
 """`gsjax clean`: Gaussians without what hovers about them."""
 
-import argparse
 from typing import Any
 
-from gsjax.cli.parsers import About, finite
+from gsjax.cli.parsers import About, Command, finite
 
 ABOUT = About(
     summary="take giants and isolated clusters out of Gaussians, or what is outside a box",
@@ -17,7 +16,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")

@@ -1,8 +1,6 @@
 """`gsjax compare`: several runs on one page."""
 
-import argparse
-
-from gsjax.cli.parsers import About
+from gsjax.cli.parsers import About, Command
 
 ABOUT = About(
     summary="set several runs side by side on one page",
@@ -15,7 +13,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `gsjax.pipeline.compare` takes."""
     parser.add_argument("folders", metavar="RUN", nargs="+", help="folders that `gsjax train` or `refine` made")
     parser.add_argument("--out", metavar="FILE", required=True, help="the page, .html")

@@ -1,10 +1,9 @@
 """`gsjax convert`: files of Gaussians for other programs, and of them."""
 
-import argparse
 import sys
 from typing import Any
 
-from gsjax.cli.parsers import About
+from gsjax.cli.parsers import About, Command
 
 ABOUT = About(
     summary="write Gaussians as a file for other programs, or read theirs",
@@ -16,7 +15,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="IN", help="file of Gaussians, or folder that `gsjax train` made")

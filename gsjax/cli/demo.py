@@ -1,8 +1,6 @@
 """`gsjax demo`: the method shown on a scene that needs no download."""
 
-import argparse
-
-from gsjax.cli.parsers import About
+from gsjax.cli.parsers import About, Command
 
 COLUMNS = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency",
          "gaussians", "seconds")  # fmt: skip
@@ -19,7 +17,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     parser.add_argument("--out", metavar="DIR", default="runs/demo", help="folder for the results (default: runs/demo)")
 

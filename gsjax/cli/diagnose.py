@@ -1,9 +1,8 @@
 """`gsjax diagnose`: which effects the photos of a data set show."""
 
-import argparse
 from typing import Any
 
-from gsjax.cli.parsers import About, finite
+from gsjax.cli.parsers import About, Command, finite
 
 ABOUT = About(
     summary="report which effects the photos of a data set show",
@@ -18,7 +17,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")

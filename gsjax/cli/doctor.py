@@ -1,8 +1,6 @@
 """`gsjax doctor`: whether this installation and this machine are fit for work."""
 
-import argparse
-
-from gsjax.cli.parsers import About
+from gsjax.cli.parsers import About, Command
 
 ABOUT = About(
     summary="check libraries, device, engine, memory, disk and cache, and say what to type",
@@ -15,7 +13,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 

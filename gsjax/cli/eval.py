@@ -1,12 +1,11 @@
 """`gsjax eval`: how good a run is, in figures."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from gsjax.cli.parsers import About, add_moved_scene, finite
+from gsjax.cli.parsers import About, Command, add_moved_scene, finite
 from gsjax.io import json_files
 
 ABOUT = About(
@@ -20,7 +19,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("run_folder", metavar="RUN", help="folder that `gsjax train` made")

@@ -1,8 +1,6 @@
 """`gsjax masks`: masks of the photos, from a network."""
 
-import argparse
-
-from gsjax.cli.parsers import About
+from gsjax.cli.parsers import About, Command
 
 ABOUT = About(
     summary="masks that leave out people, sky and the like, from a network that you have as an ONNX file",
@@ -17,7 +15,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `gsjax.pipeline.masks` takes."""
     add = parser.add_argument
     add("photos", metavar="PHOTOS_OR_SCENE", help="folder of photos, or of a data set")

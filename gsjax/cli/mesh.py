@@ -1,10 +1,9 @@
 """`gsjax mesh`: Gaussians to a mesh."""
 
-import argparse
 from functools import partial
 from typing import Any
 
-from gsjax.cli.parsers import About, finite
+from gsjax.cli.parsers import About, Command, finite
 
 BOX = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 
@@ -29,7 +28,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")

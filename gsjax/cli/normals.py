@@ -1,8 +1,6 @@
 """`gsjax normals`: normal maps of the photos, from a network."""
 
-import argparse
-
-from gsjax.cli.parsers import About, finite
+from gsjax.cli.parsers import About, Command, finite
 
 ABOUT = About(
     summary="normal maps of the photos, from a network that you have as an ONNX file",
@@ -18,7 +16,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `gsjax.pipeline.normals` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")

@@ -15,6 +15,25 @@ from gsjax.scene.georeference import parse_length
 UNITS = {"s": 1, "m": 60, "h": 3600}
 
 
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, and where to read more, instead of repeating the usage."""
+
+    def error(self, message: str):
+        """End with code 2 and this line."""
+        self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+class Command(Parser):
+    """Refuses an unknown option with the help of this command; argparse would name that of all commands."""
+
+    def parse_known_args(self, args=None, namespace=None):
+        """Parse what is known; the rest is an error."""
+        arguments, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return arguments, unknown
+
+
 class About(NamedTuple):
     """The help of a command."""
 

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from gsjax.cli.parsers import About, finite
+from gsjax.cli.parsers import About, Command, finite
 
 ABOUT = About(
     summary="render pictures or a film of a run, of Gaussians or of a mesh",
@@ -18,7 +18,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, a file of Gaussians, or a mesh")

@@ -1,8 +1,6 @@
 """`gsjax report`: a run, or a whole scan, as one page."""
 
-import argparse
-
-from gsjax.cli.parsers import About
+from gsjax.cli.parsers import About, Command
 
 ABOUT = About(
     summary="show a run or a scan on one page",
@@ -16,6 +14,6 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `gsjax.pipeline.report` takes."""
     parser.add_argument("folder", metavar="RUN", help="folder that `gsjax train`, `refine` or `scan` made")

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from gsjax.cli.parsers import About, finite, metres
+from gsjax.cli.parsers import About, Command, finite, metres
 
 ABOUT = About(
     summary="measure between two pixels, and convert a scene or a run to metres by a known length",
@@ -17,7 +17,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="SCENE_OR_RUN", help="folder of a data set, or that `gsjax train` made")

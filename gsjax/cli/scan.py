@@ -1,9 +1,8 @@
 """`gsjax scan`: photos or a video to a textured mesh, all stages in one go."""
 
-import argparse
 from typing import Any
 
-from gsjax.cli.parsers import About
+from gsjax.cli.parsers import About, Command
 from gsjax.cli.sfm import add_reconstruction, print_unused, small_model
 from gsjax.cli.train import TRAINING, add_training, training
 from gsjax.presets import REFINED_BY
@@ -21,7 +20,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="PHOTOS_OR_VIDEO", help="folder of photos, a video, or a data set")

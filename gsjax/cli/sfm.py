@@ -1,11 +1,10 @@
 """`gsjax sfm`: camera poses and a sparse cloud from bare photos or a video."""
 
-import argparse
 import sys
 from collections.abc import Mapping
 from typing import Any
 
-from gsjax.cli.parsers import About, finite
+from gsjax.cli.parsers import About, Command, finite
 
 ABOUT = About(
     summary="make a data set (COLMAP) from bare photos or a video",
@@ -23,7 +22,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("photos", metavar="PHOTOS_OR_VIDEO", help="folder of overlapping photos of one still scene, or a video of it")
@@ -31,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_reconstruction(parser)
 
 
-def add_reconstruction(parser: argparse.ArgumentParser) -> None:
+def add_reconstruction(parser: Command) -> None:
     """Add the options of `gsjax.io.sfm.reconstruct`."""
     add = parser.add_argument
     add("--panoramas", action="store_true", help="the photos, or the video, are"

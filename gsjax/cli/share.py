@@ -1,10 +1,9 @@
 """`gsjax share`: one page that shows a result anywhere."""
 
-import argparse
 import sys
 from typing import Any
 
-from gsjax.cli.parsers import About, count
+from gsjax.cli.parsers import About, Command, count
 
 LARGE = 100_000_000  # bytes of a page that mail and many browsers have trouble with
 
@@ -19,7 +18,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")

@@ -1,6 +1,5 @@
 """`gsjax train`: a data set to Gaussians."""
 
-import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -10,7 +9,7 @@ from typing import Any, Literal
 
 from gsjax import config
 from gsjax.cli import environment
-from gsjax.cli.parsers import About, add_moved_scene, finite, seconds
+from gsjax.cli.parsers import About, Command, add_moved_scene, finite, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
 from gsjax.presets import LENGTHS, PRESETS, settings_of, table
@@ -41,7 +40,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", nargs="?", help="folder of the data set; with --resume, that of RUN")
@@ -129,28 +128,8 @@ def run(
     if deterministic:
         environment.ask_for_determinism()
     scene = _scene(out, scene, scene_folder, resume)
-
-    def train() -> dict[str, Any]:
-        from gsjax import pipeline
-
-        used = _devices(devices, coordinator)
-        if used != 1 or options.get("views_per_step", 1) > 1:
-            for name, value in (("budget", budget), ("view", view)):
-                if value:
-                    raise InputError(f"--{name}: needs one device and --views-per-step 1")
-        if view:
-            from gsjax import viewer
-
-            viewer.check_port(**address)  # Before a budget is measured.
-        if used != 1 and not resume:
-            options.setdefault("views_per_step", pipeline.count_devices(used))
-        plan, spread = _settings(scene, out, preset, budget, resume, options), {"devices": used} if used != 1 else {}
-        begin = partial(pipeline.train, scene, out, plan, resume=resume, **spread)
-        if not view:
-            return begin()
-        with viewer.watch(scene, plan, **address) as observe:
-            return begin(observe=observe)
-
+    used = _devices(devices, coordinator)
+    train = partial(_train, scene, out, preset, budget, used, resume, address if view else None, options)
     if coordinator is None:
         return train()
     from gsjax.runs import processes
@@ -158,6 +137,38 @@ def run(
     with processes.join_processes(coordinator, **places):
         summary = train()
         return summary if processes.is_first() else None
+
+
+def _train(
+    scene: str,
+    out: str,
+    preset: str | None,
+    budget: str | None,
+    devices: int | Literal["all"],
+    resume: bool,
+    page: Mapping[str, Any] | None,
+    options: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Train in this process; `page` is where a page shows it, None: nowhere."""
+    from gsjax import pipeline
+
+    if devices != 1 or options.get("views_per_step", 1) > 1:
+        for name, value in (("budget", budget), ("view", page is not None)):
+            if value:
+                raise InputError(f"--{name}: needs one device and --views-per-step 1")
+    if page is not None:
+        from gsjax import viewer
+
+        viewer.check_port(**page)  # Before a budget is measured.
+    spread: dict[str, Any] = {} if devices == 1 else {"devices": devices}
+    if spread and not resume:
+        options = {"views_per_step": pipeline.count_devices(devices), **options}
+    plan = _settings(scene, out, preset, budget, resume, options)
+    begin = partial(pipeline.train, scene, out, plan, resume=resume, **spread)
+    if page is None:
+        return begin()
+    with viewer.watch(scene, plan, **page) as observe:
+        return begin(observe=observe)
 
 
 def _scene(out: str, scene: str | None, moved_to: str | None, resume: bool) -> str:
@@ -220,7 +231,7 @@ def _settings(
     return settings
 
 
-def add_training(parser: argparse.ArgumentParser, length: str) -> None:
+def add_training(parser: Command, length: str) -> None:
     """Add the arguments of `training`, for commands that train among other things; `length` says what a preset is."""
     add = parser.add_argument
     add("--preset", choices=PRESETS, default="fast", help=f"{length} (default: fast)")

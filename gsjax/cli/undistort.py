@@ -1,8 +1,6 @@
 """`gsjax undistort`: the frames that training sees, as a data set of pinhole photos."""
 
-import argparse
-
-from gsjax.cli.parsers import About, finite
+from gsjax.cli.parsers import About, Command, finite
 
 ABOUT = About(
     summary="write the photos as training sees them: undistorted, cropped, downscaled",
@@ -16,7 +14,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `gsjax.pipeline.undistort` takes."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")

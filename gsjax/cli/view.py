@@ -1,9 +1,8 @@
 """`gsjax view`: a result in the browser."""
 
-import argparse
 from typing import Any
 
-from gsjax.cli.parsers import About
+from gsjax.cli.parsers import About, Command
 
 ABOUT = About(
     summary="show a run, Gaussians or a mesh in the browser",
@@ -17,7 +16,7 @@ ABOUT = About(
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_arguments(parser: Command) -> None:
     """Add what `run` takes."""
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians (.ply,"
@@ -26,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_address(parser)
 
 
-def add_address(parser: argparse.ArgumentParser) -> None:
+def add_address(parser: Command) -> None:
     """Where a page is served."""
     parser.add_argument("--port", type=int, metavar="N", help="port of the page; 0: a free one (default: 8080)")
     parser.add_argument("--host", metavar="ADDRESS", help="address to listen on, 0.0.0.0 for every one of this machine;"

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,22 +25,12 @@ class Curve(NamedTuple):
     faint: bool = False  # drawn thin, behind what counts
 
 
-class Line(NamedTuple):
-    """A curve in the picture."""
-
-    label: str
-    points: str  # "x,y x,y ...", as a polyline has it
-    band: str  # the same of the range's outline; empty without one
-    color: int
-    faint: bool
-
-
 class Chart(NamedTuple):
     """What a template draws: every position in SVG units, y down."""
 
     title: str
     unit: str  # of the x axis
-    lines: list[Line]
+    lines: list[tuple[Curve, str, str]]  # with points "x,y x,y ...", and those of its range's outline or none
     x_ticks: list[tuple[float, str]]
     y_ticks: list[tuple[float, str]]
     marks: list[tuple[float, str]]  # upright lines with a name: where a phase ends
@@ -59,23 +49,24 @@ def chart(title: str, unit: str, curves: Sequence[Curve], marks: Sequence[tuple[
     x_ticks, y_ticks = _ticks(0.0, end), _ticks(float(values.min()), float(values.max()))
     bottom, top = y_ticks[0], y_ticks[-1]
 
-    def across(x: np.ndarray) -> np.ndarray:
+    def across(x: Any) -> Any:
         return LEFT + (RIGHT - LEFT) * np.asarray(x, float) / end
 
-    def up(y: np.ndarray) -> np.ndarray:
+    def up(y: Any) -> Any:
         return BOTTOM - (BOTTOM - TOP) * (np.asarray(y, float) - bottom) / (top - bottom)
 
-    def line(curve: Curve) -> Line:
-        band = ""
-        if curve.low is not None and curve.high is not None:
-            outline = np.concatenate([curve.x, curve.x[::-1]]), np.concatenate([curve.low, curve.high[::-1]])
-            band = _points(across(outline[0]), up(outline[1]))
-        return Line(curve.label, _points(across(curve.x), up(curve.y)), band, curve.color, curve.faint)
+    def points(x: np.ndarray, y: np.ndarray) -> str:
+        return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(across(x), up(y), strict=True))
+
+    def band(c: Curve) -> str:
+        if c.low is None or c.high is None:
+            return ""
+        return points(np.concatenate([c.x, c.x[::-1]]), np.concatenate([c.low, c.high[::-1]]))
 
     return Chart(
         title,
         unit,
-        [line(curve) for curve in curves],
+        [(curve, points(curve.x, curve.y), band(curve)) for curve in curves],
         [(round(float(across(x)), 2), f"{x:,g}") for x in x_ticks if x <= end],
         [(round(float(up(y)), 2), f"{y:,.10g}") for y in y_ticks],
         [(round(float(across(x)), 2), name) for x, name in marks if 0 < x < end],
@@ -89,7 +80,3 @@ def _ticks(low: float, high: float) -> list[float]:
     ticks = round_ticks(low, high, TICKS)
     digits = 1 - math.floor(math.log10(ticks[1] - ticks[0]))
     return [round(tick, max(digits, 0)) + 0.0 for tick in ticks]
-
-
-def _points(x: np.ndarray, y: np.ndarray) -> str:
-    return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
@@ -84,38 +85,30 @@ def what_was_decided(run: RunFacts) -> Rows:
 def _dropout(run: RunFacts) -> Rows:
     """A row where steps leave Gaussians out; plans of earlier versions have no such entry."""
     share = max((phase.get("dropout", 0.0) for phase in run.plan["phases"]), default=0.0)
-    is_asked = bool(run.settings["schedule"].get("dropout", 0.0))
-    reason = (
-        f"requested: schedule.dropout={share:g}" if is_asked else "sparse-view regularization: few photos, or far apart"
-    )
+    reason = "sparse-view regularization: few photos, or far apart"
+    if run.settings["schedule"].get("dropout", 0.0):
+        reason = f"requested: schedule.dropout={share:g}"
     return [("Left out of every step", f"{share:.0%} of the Gaussians", reason)] if share else []
 
 
 def plan(run: RunFacts) -> Rows:
     """Phase, steps, and terms of the loss with their weights."""
-    return [
-        (
-            phase["name"],
-            f"{phase['steps']:,}",
-            ", ".join(f"{name} {weight:g}" for name, weight in phase["terms"].items()),
-        )
-        for phase in run.plan["phases"]
-    ]
+    rows = []
+    for phase in run.plan["phases"]:
+        terms = ", ".join(f"{name} {weight:g}" for name, weight in phase["terms"].items())
+        rows.append((phase["name"], f"{phase['steps']:,}", terms))
+    return rows
 
 
 def effects(run: RunFacts) -> Rows:
     """Effect, decision, evidence, noise, threshold, and what the note says; empty where no diagnosis was made."""
-    record = run.manifest.get("effects", {})
-    return [
-        (
-            name,
-            "simulated" if name in record["simulated"] else "detected" if each["on"] else "no",
-            *(f"{tables.format_value(each[key])} {each['unit'] if each[key] is not None else ''}".strip()
-              for key in ("evidence", "noise", "threshold")),
-            each["note"],
-        )
-        for name, each in record.get("evidence", {}).items()
-    ]  # fmt: skip
+    record, rows = run.manifest.get("effects", {}), []
+    for name, each in record.get("evidence", {}).items():
+        decision = "simulated" if name in record["simulated"] else "detected" if each["on"] else "no"
+        values = [each[key] for key in ("evidence", "noise", "threshold")]
+        figures = (tables.format_value(v) + ("" if v is None else f" {each['unit']}".rstrip()) for v in values)
+        rows.append((name, decision, *figures, each["note"]))
+    return rows
 
 
 def scores(run: RunFacts) -> Rows:
@@ -129,15 +122,12 @@ def scores(run: RunFacts) -> Rows:
 
 def stage_rows(stages: Mapping[str, Mapping[str, Any]]) -> Rows:
     """Stage, seconds, GiB, and what came of it."""
-    return [
-        (
-            name,
-            tables.format_value(figures.get("seconds")),
-            tables.format_value(figures.get("peak_gib")),
-            ", ".join(f"{key} {tables.format_value(figures[key])}" for key in FIGURES if figures.get(key) is not None),
-        )
-        for name, figures in stages.items()
-    ]
+    rows = []
+    for name, stage in stages.items():
+        outcome = (f"{key} {tables.format_value(stage[key])}" for key in FIGURES if stage.get(key) is not None)
+        costs = (tables.format_value(stage.get(key)) for key in ("seconds", "peak_gib"))
+        rows.append((name, *costs, ", ".join(outcome)))
+    return rows
 
 
 def flat_settings(value: Any, at: str = "") -> dict[str, str]:
@@ -187,11 +177,8 @@ def pool_curves(
 def phase_ends(run: RunFacts, axis: str) -> list[tuple[float, str]]:
     """Where, as far as was logged, each phase but the last ended, and its name."""
     logged = [record for record in run.history if "phase" in record and _has_numbers(record, axis)]
-    return [
-        (float(before[axis]), before["phase"])
-        for before, after in zip(logged, logged[1:], strict=False)
-        if before["phase"] != after["phase"]
-    ]
+    pairs = pairwise(logged)
+    return [(float(one[axis]), one["phase"]) for one, after in pairs if one["phase"] != after["phase"]]
 
 
 def _has_numbers(record: Mapping[str, Any], *keys: str) -> bool:

@@ -131,22 +131,16 @@ def create(
         "status": "started",
     }
     files = {"config.json": settings, "plan.json": plan, "manifest.json": manifest}  # The last makes it a run.
-    if run.is_dir():  # It may be a mount point, which cannot be replaced.
-        with lock_folder(run):
-            require_free(run)
-            _write_beginning(run, files, place)
-    else:
-        with atomic_folder(run) as folder:
-            _write_beginning(folder, files, place)
+    # The folder may be a mount point, which cannot be replaced.
+    with lock_folder(run) if run.is_dir() else atomic_folder(run) as folder:
+        place_of_files = folder or run
+        require_free(run)
+        make_folder(place_of_files / "checkpoints")
+        georeference_files.write_place(place_of_files, place)
+        for name, data in files.items():
+            if data is not None:
+                json_files.write(place_of_files / name, data)
     return run
-
-
-def _write_beginning(run: Path, files: Mapping[str, Any], place: Place) -> None:
-    make_folder(run / "checkpoints")
-    georeference_files.write_place(run, place)
-    for name, data in files.items():
-        if data is not None:
-            json_files.write(run / name, data)
 
 
 def _is_of_a_beginning(path: Path) -> bool:

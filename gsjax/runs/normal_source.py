@@ -131,22 +131,25 @@ class NormalSource:
     def _new_maps(
         self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]
     ) -> Iterator[np.ndarray]:
+        """The maps of the missing frames: of the folder, of stereo, or of the Gaussians' smoothed depth."""
         if self.given is not None:
-            return self._foreign(gaussians, frames, missing)
-        return map(self._of_stereo, missing) if self.stereo else self._own(gaussians, frames, missing)
+            signs = self._detected(gaussians, frames) if self.signs is None else self.signs
+            for frame in missing:
+                yield apply_axes(self.given[frame.name](), signs)
+        elif self.stereo:
+            yield from map(self._of_stereo, missing)
+        else:
+            reduction = reduction_for(gaussians, [frame_camera(frame) for frame in frames], self.depth_mode)
+            for depth, alphas, camera in self._rendered(gaussians, missing):
+                yield np.asarray(smoothed_depth_normals(depth, alphas, camera, reduction=reduction))
 
     def _of_stereo(self, frame: Frame) -> np.ndarray:
-        size = (frame.width, frame.height)
         normals = self.stereo.get(frame.name)
         if normals is None:
-            return np.zeros((*size[::-1], 3), np.float32)
-        return cv2.resize(normals, size, interpolation=cv2.INTER_NEAREST).astype(np.float32) / 127
-
-    def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
-        assert self.given is not None
-        signs = self._detected(gaussians, frames) if self.signs is None else self.signs
-        for frame in missing:
-            yield apply_axes(self.given[frame.name](), signs)
+            return np.zeros((frame.height, frame.width, 3), np.float32)
+        return (
+            cv2.resize(normals, (frame.width, frame.height), interpolation=cv2.INTER_NEAREST).astype(np.float32) / 127
+        )
 
     def _detected(self, gaussians: Gaussians, frames: Sequence[Frame]) -> np.ndarray:
         """Signs of the axes: the convention's where the views do not decide, or a network's record sets them.
@@ -171,11 +174,6 @@ class NormalSource:
             line, signs = f"axes {decision}: {guess} {fault} ({measured}); supervision.normal_axes sets them", ours
         self.notify(line)
         return signs
-
-    def _own(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
-        reduction = reduction_for(gaussians, [frame_camera(frame) for frame in frames], self.depth_mode)
-        for depth, alphas, camera in self._rendered(gaussians, missing):
-            yield np.asarray(smoothed_depth_normals(depth, alphas, camera, reduction=reduction))
 
     def _rendered(self, gaussians: Gaussians, frames: Sequence[Frame]) -> Iterator[tuple]:
         """Depth, alphas and camera of one frame after the other."""

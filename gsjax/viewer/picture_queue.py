@@ -77,28 +77,20 @@ class PictureQueue:
             self._changed.notify()
 
     def take(self, timeout: float | None = None) -> Request | None:
-        """Waits for the next request: coarse pictures first, the browser that waits longest first.
+        """The next request: coarse pictures first, the browser that waits longest first.
 
-        None after the timeout in seconds, when woken, or once the queue is closed.
+        Without one it waits until a camera rests, something changes or the timeout in seconds is over; None where there
+        is none even then, and once the queue is closed.
         """
-        until = None if timeout is None else self._clock() + timeout
         with self._changed:
-            while not self.is_closed:
-                now = self._clock()
-                request, rests_in = self._next(now)
-                if request is not None:
-                    return request
-                if self._woken:
-                    self._woken = False
-                    return None
-                left = None if until is None else until - now
-                if left is not None and left <= 0:
-                    return None
-                waits = [seconds for seconds in (left, rests_in) if seconds is not None]
+            request, rests_in = self._next(self._clock())
+            if request is None and not (self._woken or self.is_closed):
                 self.is_idle = rests_in is None
-                self._changed.wait(min(waits, default=None))
+                self._changed.wait(min((s for s in (timeout, rests_in) if s is not None), default=None))
                 self.is_idle = False
-        return None
+                request, _ = self._next(self._clock())
+            self._woken = False
+            return None if self.is_closed else request
 
     def _next(self, now: float) -> tuple[Request | None, float | None]:
         """The request that is due, or after how many seconds the next camera rests."""
