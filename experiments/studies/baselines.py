@@ -32,7 +32,6 @@ class Method(NamedTuple):
     cost: float  # of a step with it, in plain ones
     weights: dict[str, float]
     every: int = 1  # one of so many steps has it
-    within: tuple[float, float] = (0.0, 1.0)  # which part of the phase's time has it; the rest is plain
 
 
 WEIGHTS: dict[str, dict[str, float]] = {
@@ -54,52 +53,30 @@ STEP_COSTS = {on: dict(zip(WEIGHTS, costs, strict=True)) for on, costs in _COSTS
 """In plain steps, by config and method, measured on an AMD EPYC (experiments/results/baselines.md)."""
 
 
-def costs_on(on: str) -> dict[str, float]:
-    """What a step with each method costs, in plain ones; those of the built-in scene where they are not measured."""
-    return STEP_COSTS.get(on, STEP_COSTS["built_in"])
-
-
-def at_equal_time(
-    phases: list[dict[str, Any]], methods: Mapping[str, Method], mix: float, *, depth_mode: str = "front"
-) -> dict[str, dict[str, Any]]:
+def at_equal_time(phases: list[dict[str, Any]], methods: Mapping[str, Method], mix: float) -> dict[str, dict[str, Any]]:
     """Variants by name: the phases, the last of each method as long as takes the time of the mix.
 
     Args:
         phases: Of the mix.
         methods: What the last phase has, by name.
         mix: What a step of the mix costs, in plain ones.
-        depth_mode: How depth is read in each of them.
     """
     *first, last = phases
-    time = mix * last["steps"]
-    shared = {"model": {"depth_mode": depth_mode}}
-
-    def ending(method: Method) -> list[dict[str, Any]]:
-        begin, end = method.within
-        steps = round(time * (end - begin) / (1 + (method.cost - 1) / method.every))
-        parts = (
-            {**last, "name": "before", "steps": round(time * begin), "weights": {}},
-            {**last, "steps": steps, "weights": method.weights, "surface_every": method.every, "surface_scale": 1},
-            {**last, "name": "after", "steps": round(time * (1 - end)), "weights": {}},
-        )
-        return [part for part in parts if part["steps"]]
-
-    def read(method: Method) -> dict[str, Any]:
-        return {"supervision": {"normals": "{scene}/normals"}} if _reads_normals(method) else {}
-
-    return {
-        name: {"schedule": {"phases": [*first, *ending(each)]}} | read(each) | shared for name, each in methods.items()
-    }
-
-
-def _reads_normals(method: Method) -> bool:
     terms = {**OURS, **make_terms(lambda: 1.0)}
-    return any("normals" in terms[name].needs for name in method.weights)
+
+    def variant(method: Method) -> dict[str, Any]:
+        steps = round(mix * last["steps"] / (1 + (method.cost - 1) / method.every))
+        own = {**last, "steps": steps, "weights": method.weights, "surface_every": method.every, "surface_scale": 1}
+        reads_normals = any("normals" in terms[name].needs for name in method.weights)
+        normals = {"supervision": {"normals": "{scene}/normals"}} if reads_normals else {}
+        return {"schedule": {"phases": [*first, own]}, "model": {"depth_mode": "front"}} | normals
+
+    return {name: variant(each) for name, each in methods.items()}
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
-    """Every method, and R at the pixels in every fourth step alone."""
-    costs = costs_on(on)
+    """Every method, and R at the pixels in every fourth step alone; costs are the built-in scene's if not measured."""
+    costs = STEP_COSTS.get(on, STEP_COSTS["built_in"])
     methods = {name: Method(costs[name], weights) for name, weights in WEIGHTS.items()}
     rarer = Method(costs["ours, pixel_normal"], {"pixel_normal": 0.2}, every=4)
     phases = config["schedule"]["phases"]
