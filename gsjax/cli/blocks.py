@@ -1,21 +1,18 @@
-"""`gsjax blocks`: a scene too large for one run, in several."""
+"""Train a large scene block by block, and merge the blocks into one run.
+
+Divides a scene by where its cameras are (OUT/blocks.json), trains a run for each block
+(OUT/block_1 and so on) with photos from its surroundings, and merges them: OUT/run, which all
+other commands read. Called again, it continues where it stopped. Several machines share the work
+where OUT and SCENE are folders that all of them see under one path, each with --only.
+
+Example: gsjax blocks scenes/street --out blocks/street --blocks 4
+"""
 
 from collections.abc import Sequence
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, count
+from gsjax.cli.parsers import Command, count
 from gsjax.cli.train import add_training, training
-
-ABOUT = About(
-    summary="train a large scene block by block, and merge the blocks into one run",
-    description="""
-        Divides a scene by where its cameras are (OUT/blocks.json), trains a run for each block
-        (OUT/block_1 and so on) with photos from its surroundings, and merges them: OUT/run, which all
-        other commands read. Called again, it continues where it stopped. Several machines share the work
-        where OUT and SCENE are folders that all of them see under one path, each with --only.
-    """,
-    example="gsjax blocks scenes/street --out blocks/street --blocks 4",
-)
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,19 +1,17 @@
-"""`gsjax clean`: Gaussians without what hovers about them."""
+"""Take giants and isolated clusters out of Gaussians, or what is outside a box.
+
+Giants fill the picture of the nearest camera; isolated Gaussians are in small clusters apart
+from all others. Prints how many of each were taken out. The file as it was is kept as
+FILE.original.ply, which --undo restores, and FILE.cleaned.png shows before and after.
+
+Example: gsjax clean runs/garden --crop-to-cameras
+"""
 
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, finite
+from gsjax.cli.parsers import Command, finite
 
-ABOUT = About(
-    summary="take giants and isolated clusters out of Gaussians, or what is outside a box",
-    description="""
-        Giants fill the picture of the nearest camera; isolated Gaussians are in small clusters apart
-        from all others. Prints how many of each were taken out. The file as it was is kept as
-        FILE.original.ply, which --undo restores, and FILE.cleaned.png shows before and after.
-    """,
-    example="gsjax clean runs/garden --crop-to-cameras",
-    packages=("matplotlib",),
-)
+PACKAGES = ("matplotlib",)
 
 
 def add_arguments(parser: Command) -> None:

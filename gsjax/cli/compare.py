@@ -1,16 +1,14 @@
-"""`gsjax compare`: several runs on one page."""
+"""Set several runs side by side on one page.
 
-from gsjax.cli.parsers import About, Command
+Writes one page that opens anywhere: the settings that differ, scores and curves. Runs that differ by
+their seed alone are pooled: mean, and least and most.
 
-ABOUT = About(
-    summary="set several runs side by side on one page",
-    description="""
-        Writes one page that opens anywhere: the settings that differ, scores and curves. Runs that differ by
-        their seed alone are pooled: mean, and least and most.
-    """,
-    example="gsjax compare runs/garden runs/garden_vanilla --out compared.html",
-    packages=("jinja2", "matplotlib"),
-)
+Example: gsjax compare runs/garden runs/garden_vanilla --out compared.html
+"""
+
+from gsjax.cli.parsers import Command
+
+PACKAGES = ("jinja2", "matplotlib")
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,18 +1,15 @@
-"""`gsjax convert`: files of Gaussians for other programs, and of them."""
+"""Write Gaussians as a file for other programs, or read theirs.
+
+Reads and writes by suffix: .ply as 3DGS has it, .compressed.ply and .sog of PlayCanvas, .spz of
+Niantic (written as version 3, read as 2, 3 and 4). The pixel filter goes along in each of them.
+
+Example: gsjax convert runs/garden garden.spz --min-opacity 0.02
+"""
 
 import sys
 from typing import Any
 
-from gsjax.cli.parsers import About, Command
-
-ABOUT = About(
-    summary="write Gaussians as a file for other programs, or read theirs",
-    description="""
-        Reads and writes by suffix: .ply as 3DGS has it, .compressed.ply and .sog of PlayCanvas, .spz of
-        Niantic (written as version 3, read as 2, 3 and 4). The pixel filter goes along in each of them.
-    """,
-    example="gsjax convert runs/garden garden.spz --min-opacity 0.02",
-)
+from gsjax.cli.parsers import Command
 
 
 def add_arguments(parser: Command) -> None:

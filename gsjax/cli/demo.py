@@ -1,20 +1,18 @@
-"""`gsjax demo`: the method shown on a scene that needs no download."""
+"""Train and mesh a built-in scene with and without the surface terms, and compare.
 
-from gsjax.cli.parsers import About, Command
+Renders a built-in scene with exact depth and normals, trains it twice from the same start
+(vanilla, and with the surface terms and the true normals), extracts both meshes and writes
+report.json and pictures side by side. Needs no data and takes minutes on a CPU.
+
+Example: gsjax demo --out runs/demo
+"""
+
+from gsjax.cli.parsers import Command
 
 COLUMNS = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency",
          "gaussians", "seconds")  # fmt: skip
 
-ABOUT = About(
-    summary="train and mesh a built-in scene with and without the surface terms, and compare",
-    description="""
-        Renders a built-in scene with exact depth and normals, trains it twice from the same start
-        (vanilla, and with the surface terms and the true normals), extracts both meshes and writes
-        report.json and pictures side by side. Needs no data and takes minutes on a CPU.
-    """,
-    example="gsjax demo --out runs/demo",
-    packages=("open3d", "trimesh", "pycolmap", "matplotlib"),
-)
+PACKAGES = ("open3d", "trimesh", "pycolmap", "matplotlib")
 
 
 def add_arguments(parser: Command) -> None:

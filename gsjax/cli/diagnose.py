@@ -1,20 +1,17 @@
-"""`gsjax diagnose`: which effects the photos of a data set show."""
+"""Report which effects the photos of a data set show.
+
+Reads every photo once, and the tracks of structure from motion where there are any:
+exposure and white balance, vignetting, background, open sky, poses, transients, blur. Prints for
+each the evidence with its noise, the threshold, the decision, and why; and how far apart the
+photos are. Maps that `gsjax normals` made are judged too: whether they are multi-view
+consistent. Nothing is trained. An effect that cannot be judged is off, with the reason.
+
+Example: gsjax diagnose scenes/garden --json garden.json
+"""
 
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, finite
-
-ABOUT = About(
-    summary="report which effects the photos of a data set show",
-    description="""
-        Reads every photo once, and the tracks of structure from motion where there are any:
-        exposure and white balance, vignetting, background, open sky, poses, transients, blur. Prints for
-        each the evidence with its noise, the threshold, the decision, and why; and how far apart the
-        photos are. Maps that `gsjax normals` made are judged too: whether they are multi-view
-        consistent. Nothing is trained. An effect that cannot be judged is off, with the reason.
-    """,
-    example="gsjax diagnose scenes/garden --json garden.json",
-)
+from gsjax.cli.parsers import Command, finite
 
 
 def add_arguments(parser: Command) -> None:

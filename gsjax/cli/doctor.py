@@ -1,16 +1,13 @@
-"""`gsjax doctor`: whether this installation and this machine are fit for work."""
+"""Check libraries, device, engine, memory, disk and cache, and say what to type.
 
-from gsjax.cli.parsers import About, Command
+Loads each library that gsjax needs and compares its version, asks jax for its device and
+the rasterizer for its engine, and checks memory, disk and the folder of compiled programs.
+Where something is amiss, a line says what to type. Ends with code 0 if all is well, else 1.
 
-ABOUT = About(
-    summary="check libraries, device, engine, memory, disk and cache, and say what to type",
-    description="""
-        Loads each library that gsjax needs and compares its version, asks jax for its device and
-        the rasterizer for its engine, and checks memory, disk and the folder of compiled programs.
-        Where something is amiss, a line says what to type. Ends with code 0 if all is well, else 1.
-    """,
-    example="gsjax doctor --json",
-)
+Example: gsjax doctor --json
+"""
+
+from gsjax.cli.parsers import Command
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,22 +1,19 @@
-"""`gsjax eval`: how good a run is, in figures."""
+"""Score a run on its held-out views.
+
+Prints PSNR, SSIM and, with weights of yours, LPIPS over the held-out views; where the data
+set has true depth, normals or a true surface, also the errors against them: of a mesh from
+point to surface, and the true mesh's own as floor. Pixel masks of the data set are respected.
+
+Example: gsjax eval runs/garden --json garden.json
+"""
 
 import sys
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, add_moved_scene, finite
+from gsjax.cli.parsers import Command, add_moved_scene, finite
 from gsjax.io import json_files
-
-ABOUT = About(
-    summary="score a run on its held-out views",
-    description="""
-        Prints PSNR, SSIM and, with weights of yours, LPIPS over the held-out views; where the data
-        set has true depth, normals or a true surface, also the errors against them: of a mesh from
-        point to surface, and the true mesh's own as floor. Pixel masks of the data set are respected.
-    """,
-    example="gsjax eval runs/garden --json garden.json",
-)
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,18 +1,16 @@
-"""`gsjax masks`: masks of the photos, from a network."""
+"""Masks that leave out people, sky and the like, from a network that you have as an ONNX file.
 
-from gsjax.cli.parsers import About, Command
+Runs a segmentation network on every photo and writes PHOTOS/masks/NAME.png: 0 where the photo
+shows one of the classes, 255 elsewhere. `gsjax sfm`, `gsjax train` and `gsjax mesh` use only
+the rest. No weights come with gsjax: docs/tasks/masks_and_sky.md says where to get them, under which
+licence, and how a record describes another network.
 
-ABOUT = About(
-    summary="masks that leave out people, sky and the like, from a network that you have as an ONNX file",
-    description="""
-        Runs a segmentation network on every photo and writes PHOTOS/masks/NAME.png: 0 where the photo
-        shows one of the classes, 255 elsewhere. `gsjax sfm`, `gsjax train` and `gsjax mesh` use only
-        the rest. No weights come with gsjax: docs/tasks/masks_and_sky.md says where to get them, under which
-        licence, and how a record describes another network.
-    """,
-    example="gsjax masks photos/ --network pphumanseg --weights human_segmentation_pphumanseg_2023mar.onnx",
-    packages=("onnxruntime", "cv2"),
-)
+Example: gsjax masks photos/ --network pphumanseg --weights human_segmentation_pphumanseg_2023mar.onnx
+"""
+
+from gsjax.cli.parsers import Command
+
+PACKAGES = ("onnxruntime", "cv2")
 
 
 def add_arguments(parser: Command) -> None:

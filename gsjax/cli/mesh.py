@@ -1,31 +1,27 @@
-"""`gsjax mesh`: Gaussians to a mesh."""
+"""Extract a mesh from a run or from any file of Gaussians.
+
+Leaves out Gaussians that hang in the air, finds points of the surface along the cameras' rays,
+reconstructs a mesh from them (Poisson), trims what no point supports and colours the vertices.
+Where the training photos exist, the vertices are then refined on them. A file alone
+has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
+
+Example: gsjax mesh runs/garden --out garden.glb
+"""
 
 from functools import partial
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, finite
+from gsjax.cli.parsers import Command, finite
 
+PACKAGES = ("open3d", "trimesh")
 BOX = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 
 
-def _methods() -> str:
+def listing() -> str:
+    """The methods, which the help lists."""
     from gsjax.meshing.methods import methods_help
 
     return methods_help()
-
-
-ABOUT = About(
-    summary="extract a mesh from a run or from any file of Gaussians",
-    description="""
-        Leaves out Gaussians that hang in the air, finds points of the surface along the cameras' rays,
-        reconstructs a mesh from them (Poisson), trims what no point supports and colours the vertices.
-        Where the training photos exist, the vertices are then refined on them. A file alone
-        has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
-    """,
-    example="gsjax mesh runs/garden --out garden.glb",
-    packages=("open3d", "trimesh"),
-    listing=_methods,
-)
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,19 +1,17 @@
-"""`gsjax normals`: normal maps of the photos, from a network."""
+"""Normal maps of the photos, from a network that you have as an ONNX file.
 
-from gsjax.cli.parsers import About, Command, finite
+Runs a monocular network on every photo as training sees it (undistorted) and writes a map
+a photo into DIR, for `gsjax train SCENE --normals NETWORK`. What the same weights have made
+before is kept, so a stopped run continues. Depth of a network for depth is fitted to the tracks of
+structure from motion, and its normals are taken. No weights come with gsjax: docs/normals.md says
+where each network's are, under which licence, and how a record describes another network.
 
-ABOUT = About(
-    summary="normal maps of the photos, from a network that you have as an ONNX file",
-    description="""
-        Runs a monocular network on every photo as training sees it (undistorted) and writes a map
-        a photo into DIR, for `gsjax train SCENE --normals NETWORK`. What the same weights have made
-        before is kept, so a stopped run continues. Depth of a network for depth is fitted to the tracks of
-        structure from motion, and its normals are taken. No weights come with gsjax: docs/normals.md says
-        where each network's are, under which licence, and how a record describes another network.
-    """,
-    example="gsjax normals scenes/garden --network moge2 --weights moge-2-vitb-normal.onnx",
-    packages=("onnxruntime", "cv2"),
-)
+Example: gsjax normals scenes/garden --network moge2 --weights moge-2-vitb-normal.onnx
+"""
+
+from gsjax.cli.parsers import Command, finite
+
+PACKAGES = ("onnxruntime", "cv2")
 
 
 def add_arguments(parser: Command) -> None:

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable
 from functools import partial
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from gsjax.errors import InputError
@@ -45,14 +46,14 @@ class About(NamedTuple):
 
 
 def add_command(commands: argparse._SubParsersAction, name: str) -> None:
-    """Add a command: its module in `gsjax.cli` has `ABOUT`, and `add_arguments` for its parser.
+    """Add a command: its module in `gsjax.cli` has its help, see `about_command`, and `add_arguments` for its parser.
 
     The module's `run` gets the arguments that were given, by name; their defaults are those of the library. What it
     returns is printed, unless it is None or an exit code. Without `run`, the function of this name in `gsjax.pipeline`
     does the work.
     """
     module = importlib.import_module(f"gsjax.cli.{name}")
-    about: About = module.ABOUT
+    about = about_command(module)
     parser = commands.add_parser(
         name,
         help=about.summary,
@@ -66,6 +67,19 @@ def add_command(commands: argparse._SubParsersAction, name: str) -> None:
     module.add_arguments(parser)
     if about.listing is not None:
         parser.format_help = partial(_format_with_listing, parser, about, parser.format_help)
+
+
+def about_command(module: ModuleType) -> About:
+    """The help of a command: `ABOUT` of its module, or the docstring: summary, description, and a line with an example.
+
+    Next to a docstring the module may have `PACKAGES`, and a function `listing`.
+    """
+    if hasattr(module, "ABOUT"):
+        return module.ABOUT
+    summary, _, rest = (inspect.getdoc(module) or "").partition("\n\n")
+    description, _, example = rest.rpartition("\n\nExample: ")
+    packages, listing = getattr(module, "PACKAGES", ()), getattr(module, "listing", None)
+    return About(summary[:1].lower() + summary[1:].rstrip("."), description, example, packages, listing)
 
 
 def _call_library(name: str, **arguments: Any) -> Any:

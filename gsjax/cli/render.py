@@ -1,21 +1,18 @@
-"""`gsjax render`: pictures or a film of a run, of Gaussians or of a mesh."""
+"""Render pictures or a film of a run, of Gaussians or of a mesh.
+
+Writes colour, depth and normals of every view of a run, of its held-out views, or from a
+circle around the scene as PNG files. With --turntable, --through-photos or --path and an
+output that ends in .mp4, .webm or .gif it writes a film. A file of Gaussians (.ply,
+.compressed.ply, .sog, .spz) is seen from cameras placed around it. A mesh (.ply, .obj, .glb)
+is seen from outside, with its texture or its vertex colours: a room is seen through its walls.
+
+Example: gsjax render runs/garden --out film.mp4 --turntable
+"""
 
 import argparse
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, finite
-
-ABOUT = About(
-    summary="render pictures or a film of a run, of Gaussians or of a mesh",
-    description="""
-        Writes colour, depth and normals of every view of a run, of its held-out views, or from a
-        circle around the scene as PNG files. With --turntable, --through-photos or --path and an
-        output that ends in .mp4, .webm or .gif it writes a film. A file of Gaussians (.ply,
-        .compressed.ply, .sog, .spz) is seen from cameras placed around it. A mesh (.ply, .obj, .glb)
-        is seen from outside, with its texture or its vertex colours: a room is seen through its walls.
-    """,
-    example="gsjax render runs/garden --out film.mp4 --turntable",
-)
+from gsjax.cli.parsers import Command, finite
 
 
 def add_arguments(parser: Command) -> None:

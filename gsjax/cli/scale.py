@@ -1,20 +1,17 @@
-"""`gsjax scale`: a known length to the unit of a scene or a run."""
+"""Measure between two pixels, and convert a scene or a run to metres by a known length.
+
+Takes what two photos show at two pixels, as the triangulated points of a scene or the
+rendered depth of a run have it, and prints the distance. With --is, lengths are in metres
+from then on: a scene is also turned upright by its cameras (SCENE/place.json, no other file
+changes), the files of a run are written anew. Without --is nothing is changed.
+
+Example: gsjax scale scenes/garden --between 0001.jpg 310 722 0001.jpg 840 715 --is 1.25m
+"""
 
 import argparse
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, finite, metres
-
-ABOUT = About(
-    summary="measure between two pixels, and convert a scene or a run to metres by a known length",
-    description="""
-        Takes what two photos show at two pixels, as the triangulated points of a scene or the
-        rendered depth of a run have it, and prints the distance. With --is, lengths are in metres
-        from then on: a scene is also turned upright by its cameras (SCENE/place.json, no other file
-        changes), the files of a run are written anew. Without --is nothing is changed.
-    """,
-    example="gsjax scale scenes/garden --between 0001.jpg 310 722 0001.jpg 840 715 --is 1.25m",
-)
+from gsjax.cli.parsers import Command, finite, metres
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,23 +1,21 @@
-"""`gsjax scan`: photos or a video to a textured mesh, all stages in one go."""
+"""Photos or a video to a textured mesh, all stages in one go.
+
+Runs sfm, train, mesh, refine and texture, and leaves OUT/scene, OUT/run with its mesh.ply,
+OUT/refined, OUT/mesh.glb, OUT/overview.png and OUT/report.json. Called again, it continues
+where it stopped. A data set that has camera poses already begins with train. Photos are reconstructed as
+`gsjax sfm` does it, with the same options.
+
+Example: gsjax scan photos/ --out scans/garden
+"""
 
 from typing import Any
 
-from gsjax.cli.parsers import About, Command
+from gsjax.cli.parsers import Command
 from gsjax.cli.sfm import add_reconstruction, print_unused, small_model
 from gsjax.cli.train import TRAINING, add_training, training
 from gsjax.presets import REFINED_BY
 
-ABOUT = About(
-    summary="photos or a video to a textured mesh, all stages in one go",
-    description="""
-        Runs sfm, train, mesh, refine and texture, and leaves OUT/scene, OUT/run with its mesh.ply,
-        OUT/refined, OUT/mesh.glb, OUT/overview.png and OUT/report.json. Called again, it continues
-        where it stopped. A data set that has camera poses already begins with train. Photos are reconstructed as
-        `gsjax sfm` does it, with the same options.
-    """,
-    example="gsjax scan photos/ --out scans/garden",
-    packages=("open3d", "trimesh", "matplotlib"),
-)
+PACKAGES = ("open3d", "trimesh", "matplotlib")
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,25 +1,23 @@
-"""`gsjax sfm`: camera poses and a sparse cloud from bare photos or a video."""
+"""Make a data set (COLMAP) from bare photos or a video.
+
+Finds where each photo was taken (features, matching, incremental mapping), removes the lens
+distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
+the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
+error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
+(PHOTOS/masks) are kept. With GPS in the photos (EXIF) the scene is in metres,
+x east, y north, z up, and SCENE/place.json says about which origin. Features are SIFT's unless
+you have the weights of a network (docs/tasks/photos.md#if-too-few-features-match).
+
+Example: gsjax sfm photos/ --out scenes/garden
+"""
 
 import sys
 from collections.abc import Mapping
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, finite
+from gsjax.cli.parsers import Command, finite
 
-ABOUT = About(
-    summary="make a data set (COLMAP) from bare photos or a video",
-    description="""
-        Finds where each photo was taken (features, matching, incremental mapping), removes the lens
-        distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
-        the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
-        error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
-        (PHOTOS/masks) are kept. With GPS in the photos (EXIF) the scene is in metres,
-        x east, y north, z up, and SCENE/place.json says about which origin. Features are SIFT's unless
-        you have the weights of a network (docs/tasks/photos.md#if-too-few-features-match).
-    """,
-    example="gsjax sfm photos/ --out scenes/garden",
-    packages=("pycolmap", "cv2"),
-)
+PACKAGES = ("pycolmap", "cv2")
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,21 +1,18 @@
-"""`gsjax share`: one page that shows a result anywhere."""
+"""Write one page that shows the result in any browser.
+
+Writes one HTML file with a viewer, the Gaussians, a dozen of the photos' cameras, and the mesh of the
+run behind a switch. It needs no network and no server: open it, or send it.
+
+Example: gsjax share runs/garden --out garden.html
+"""
 
 import sys
 from typing import Any
 
-from gsjax.cli.parsers import About, Command, count
+from gsjax.cli.parsers import Command, count
 
+PACKAGES = ("jinja2",)
 LARGE = 100_000_000  # bytes of a page that mail and many browsers have trouble with
-
-ABOUT = About(
-    summary="write one page that shows the result in any browser",
-    description="""
-        Writes one HTML file with a viewer, the Gaussians, a dozen of the photos' cameras, and the mesh of the
-        run behind a switch. It needs no network and no server: open it, or send it.
-    """,
-    example="gsjax share runs/garden --out garden.html",
-    packages=("jinja2",),
-)
 
 
 def add_arguments(parser: Command) -> None:

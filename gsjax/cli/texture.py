@@ -1,16 +1,14 @@
-"""`gsjax texture`: a mesh with a texture."""
+"""Paint a mesh with what the Gaussians show.
 
-from gsjax.cli.parsers import About, Command
+Lays a mesh out in a square texture and gives every texel what the training views that see it
+show there. Where none does, the mesh's own vertex colours remain.
 
-ABOUT = About(
-    summary="paint a mesh with what the Gaussians show",
-    description="""
-        Lays a mesh out in a square texture and gives every texel what the training views that see it
-        show there. Where none does, the mesh's own vertex colours remain.
-    """,
-    example="gsjax texture runs/garden --mesh garden.ply --out garden.glb",
-    packages=("open3d", "trimesh"),
-)
+Example: gsjax texture runs/garden --mesh garden.ply --out garden.glb
+"""
+
+from gsjax.cli.parsers import Command
+
+PACKAGES = ("open3d", "trimesh")
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,4 +1,11 @@
-"""`gsjax train`: a data set to Gaussians."""
+"""Train Gaussians on a data set.
+
+Reads a COLMAP model (SCENE/images, SCENE/sparse/0), a transforms.json or a NeRF-synthetic
+folder, and writes RUN/gaussians.ply, checkpoints, metrics.jsonl, and the settings in
+RUN/config.json. Some photos are held out for `gsjax eval`: see --hold-out.
+
+Example: gsjax train scenes/garden --out runs/garden --preset fast
+"""
 
 import os
 import sys
@@ -9,7 +16,7 @@ from typing import Any, Literal
 
 from gsjax import config
 from gsjax.cli import environment
-from gsjax.cli.parsers import About, Command, add_moved_scene, finite, seconds
+from gsjax.cli.parsers import Command, add_moved_scene, finite, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
 from gsjax.presets import LENGTHS, PRESETS, settings_of, table
@@ -27,17 +34,6 @@ OPTIONS = {
 """Options -> the keys of the settings that they set."""
 TRAINING = "seed", "downscale", "hold_out", "assignments"
 """Options of `add_training` besides the preset."""
-
-
-ABOUT = About(
-    summary="train Gaussians on a data set",
-    description="""
-        Reads a COLMAP model (SCENE/images, SCENE/sparse/0), a transforms.json or a NeRF-synthetic
-        folder, and writes RUN/gaussians.ply, checkpoints, metrics.jsonl, and the settings in
-        RUN/config.json. Some photos are held out for `gsjax eval`: see --hold-out.
-    """,
-    example="gsjax train scenes/garden --out runs/garden --preset fast",
-)
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,17 +1,15 @@
-"""`gsjax undistort`: the frames that training sees, as a data set of pinhole photos."""
+"""Write the photos as training sees them: undistorted, cropped, downscaled.
 
-from gsjax.cli.parsers import About, Command, finite
+For networks and programs that want pinhole photos: reads what `gsjax train` reads and writes
+DIR/images, DIR/masks where not every pixel counts, DIR/sparse/0 and DIR/hold_out.txt. DIR is
+a data set that trains the same. Normal maps made of DIR/images belong to `gsjax train DIR`.
 
-ABOUT = About(
-    summary="write the photos as training sees them: undistorted, cropped, downscaled",
-    description="""
-        For networks and programs that want pinhole photos: reads what `gsjax train` reads and writes
-        DIR/images, DIR/masks where not every pixel counts, DIR/sparse/0 and DIR/hold_out.txt. DIR is
-        a data set that trains the same. Normal maps made of DIR/images belong to `gsjax train DIR`.
-    """,
-    example="gsjax undistort scenes/garden --out scenes/garden_pinhole",
-    packages=("pycolmap", "cv2"),
-)
+Example: gsjax undistort scenes/garden --out scenes/garden_pinhole
+"""
+
+from gsjax.cli.parsers import Command, finite
+
+PACKAGES = ("pycolmap", "cv2")
 
 
 def add_arguments(parser: Command) -> None:

@@ -1,19 +1,17 @@
-"""`gsjax view`: a result in the browser."""
+"""Show a run, Gaussians or a mesh in the browser.
+
+Serves a page until Ctrl-C: Gaussians as this program's rasterizer draws them, coarse while the
+camera moves and full at rest, or as the browser does; colour, depth, normals, the mesh, the
+cameras with their photos.
+
+Example: gsjax view runs/garden
+"""
 
 from typing import Any
 
-from gsjax.cli.parsers import About, Command
+from gsjax.cli.parsers import Command
 
-ABOUT = About(
-    summary="show a run, Gaussians or a mesh in the browser",
-    description="""
-        Serves a page until Ctrl-C: Gaussians as this program's rasterizer draws them, coarse while the
-        camera moves and full at rest, or as the browser does; colour, depth, normals, the mesh, the
-        cameras with their photos.
-    """,
-    example="gsjax view runs/garden",
-    packages=("viser",),
-)
+PACKAGES = ("viser",)
 
 
 def add_arguments(parser: Command) -> None:
