@@ -1,8 +1,10 @@
 """Which programs were compiled while a run went, how long that took, and room for more of them."""
 
 import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import jax
 from jax import monitoring
@@ -14,28 +16,21 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 _SHORTEST = 0.1  # seconds
 
 
-class Compilations:
-    """Collects compilations of this process while its context is open."""
+@contextmanager
+def record_compilations() -> Iterator[list[dict[str, Any]]]:
+    """While it lasts, list `program` and `seconds` of each compilation of this process from a tenth of a second on."""
+    records: list[dict[str, Any]] = []
 
-    def __init__(self):
-        self._records: list[dict[str, Any]] = []
-
-    def __enter__(self) -> Self:
-        monitoring.register_event_duration_secs_listener(self._note)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        monitoring.unregister_event_duration_listener(self._note)
-
-    def drain(self) -> list[dict[str, Any]]:
-        """`program` and `seconds` of each compilation since the last call, without those under a tenth of a second."""
-        records, self._records = self._records, []
-        return records
-
-    def _note(self, event: str, seconds: float, **about: Any) -> None:
+    def note(event: str, seconds: float, **about: Any) -> None:
         if event == _COMPILED and seconds >= _SHORTEST:
             program = str(about.get("fun_name", "?")).removeprefix("jit(").removesuffix(")")
-            self._records.append({"program": program, "seconds": round(seconds, 2)})
+            records.append({"program": program, "seconds": round(seconds, 2)})
+
+    monitoring.register_event_duration_secs_listener(note)
+    try:
+        yield records
+    finally:
+        monitoring.unregister_event_duration_listener(note)
 
 
 def is_crowded() -> bool:

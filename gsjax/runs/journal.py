@@ -17,7 +17,7 @@ from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.rendering.engine import computes_on_cpu
 from gsjax.runs import checkpoints
-from gsjax.runs.compilations import Compilations
+from gsjax.runs.compilations import record_compilations
 from gsjax.training.step import Metrics
 
 
@@ -29,18 +29,18 @@ class Journal:
         self.run, self.steps = run, steps
         self._seconds_before, self._started = seconds, time.perf_counter()
         self.bar = tqdm(total=steps, initial=step, desc=label, unit="step", smoothing=0.05)
-        self._compilations = Compilations()
+        self._recorder = record_compilations()
         self._writer = ThreadPoolExecutor(1)
         self._write: Future[Path] | None = None  # of the last checkpoint
 
     def __enter__(self) -> Self:
         """The journal itself."""
-        self._compilations.__enter__()
+        self._compilations = self._recorder.__enter__()
         return self
 
     def __exit__(self, *error: object) -> None:
         """Close the bar when the last checkpoint is written."""
-        self._compilations.__exit__(*error)
+        self._recorder.__exit__(*error)
         self._writer.shutdown()
         self.bar.close()
         if error[0] is None:
@@ -61,8 +61,9 @@ class Journal:
             "seconds": round(self.seconds, 2),
             "terms": {name: float(value) for name, value in metrics.terms.items()},
         } | more
-        if compiled := self._compilations.drain():
-            record["compiled"] = compiled
+        if self._compilations:
+            record["compiled"] = [*self._compilations]
+            self._compilations.clear()
         runs.append_metrics(self.run, record)
         self.bar.set_postfix_str(f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB{suffix}", refresh=False)
 

@@ -34,7 +34,7 @@ PATIENCE = 0.5  # Seconds between two looks for news.
 class News(NamedTuple):
     """What a training passes to the page."""
 
-    gaussians: Gaussians
+    gaussians: Gaussians | None  # None: not yet
     line: str
     background: np.ndarray | None = None  # where it is learned, see `gsjax.rendering.backdrop`; None: the viewed's
 
@@ -59,8 +59,7 @@ class Page:
         self.viewed, self.queue = viewed, PictureQueue()
         self._host, self._port = host, port
         self._news, self._share = news, share
-        self._gaussians, self._line = viewed.gaussians, ""
-        self._background = viewed.background
+        self._newest = News(viewed.gaussians, "", viewed.background)
         self._chores: deque[Callable[[], None]] = deque()
         self._closing = Event()
         self.switches: dict[str, Any] = {}  # by their labels, once it is served: each has a `value`
@@ -171,15 +170,16 @@ class Page:
 
     def _answer(self, request: Request) -> None:
         """Draws what was ordered and sends it, if the browser is still there."""
-        client = self.server.get_clients().get(request.browser)
-        if client is None or self._gaussians is None:
+        client, kind = self.server.get_clients().get(request.browser), self.switches[SHOW].value
+        gaussians, line, background = self._newest
+        if client is None or gaussians is None:
             return
-        if self.switches[SHOW].value == BY_BROWSER:
-            self._scenery.show_splats(self._gaussians)
+        if kind == BY_BROWSER:
+            self._scenery.show_splats(gaussians)
             behind = camera_of(request.camera, picture_size(request.camera, BEHIND_SIDE))
             if request.is_full and behind is not None:
-                self._say(self._line)
-                _send(client, bare_background(self._background, behind), "png")
+                self._say(line)
+                _send(client, bare_background(background, behind), "png")
             return
         self._scenery.hide_splats()
         longest = int(self.switches[SIDE].value) // (1 if request.is_full else COARSER)
@@ -188,14 +188,13 @@ class Page:
             return
         started = time.perf_counter()
         try:
-            kind, depth_mode = self.switches[SHOW].value, self.viewed.depth_mode
-            picture = draw_picture(kind, self._gaussians, camera, self._background, depth_mode)
+            picture = draw_picture(kind, gaussians, camera, background, self.viewed.depth_mode)
         except InputError as error:
             self._say(str(error))
             return
         if request.is_full:
             timing = f"{camera.width}x{camera.height} in {1e3 * (time.perf_counter() - started):.0f} ms"
-            self._say(", ".join(filter(None, (timing, self._line))))
+            self._say(", ".join(filter(None, (timing, line))))
         _send(client, picture, "png" if request.is_full else "jpeg")
 
     def _say(self, line: str) -> None:
@@ -206,8 +205,8 @@ class Page:
         """Newer Gaussians, where they are made and somebody looks."""
         news = self._news() if self._news is not None and len(self.queue) else None
         if news is not None:
-            self._gaussians, self._line = news.gaussians, news.line
-            self._background = self.viewed.background if news.background is None else news.background
+            is_bare = news.background is None
+            self._newest = news._replace(background=self.viewed.background) if is_bare else news
             self.queue.redraw(only_full=True)
 
 
