@@ -103,7 +103,9 @@ def run(tmp_path):
 def test_the_page_says_what_the_files_say(run):
     evidence = {"exposure": EVIDENCE, "blur": {**EVIDENCE, "on": False, "evidence": None, "noise": None}}
     runs.update_manifest(run, effects={"simulated": ["exposure"], "evidence": evidence})
+    Image.new("RGB", SIZE).save(run / "pictures/0001_sky.jpg")
     page = Page(report(run))
+    assert f"sky, {NAMES[1]}" in page.pictures
     assert page.cells["psnr"] == ["25"] and page.cells["gaussians"] == ["1,234"]
     assert page.cells["train"] == ["30.5", "1.25", "psnr 25, ssim 0.8125, gaussians 1,234"]
     assert page.cells["Size of the photos"] == ["reduced 2 times", "9 photos at 64x48 (taken at 128x96)"]
