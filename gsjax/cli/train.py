@@ -9,7 +9,7 @@ Example: gsjax train scenes/garden --out runs/garden --preset fast
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -50,6 +50,20 @@ def add_arguments(parser: Command) -> None:
     add("--budget", metavar="TIME", help="how long the run may take on this machine, as in 90s, 10m or 1.5h: picks the"
         " preset, unless one is given, its steps, and, without `--set model.max_gaussians`, its Gaussians")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
+    _add_inputs(add)
+    _add_machines(add)
+    add("--set", metavar="KEY=VALUE", action="extend", nargs="+", dest="assignments",
+        help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
+    add("--resume", action="store_true", help="continue RUN from its last checkpoint with its own settings")
+    add_moved_scene(parser)
+    add("--deterministic", action="store_true", help="the same bits in every run on a GPU, too, where sums by atomics"
+        " differ from run to run; slower (a CPU's runs are the same without)")  # fmt: skip
+    add("--view", action="store_true", help="show the training on a page in the browser, as `gsjax view` does")
+    add_address(parser)
+
+
+def _add_inputs(add: Callable[..., Any]) -> None:
+    """The photos, and what else of the scene the training reads or simulates."""
     add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: to 1600 pixels,"
         " and with fast on a CPU to what its minutes bear)")  # fmt: skip
     add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute; copies of another size"
@@ -81,6 +95,10 @@ def add_arguments(parser: Command) -> None:
         " paper's presets)")  # fmt: skip
     add("--vanilla", action="store_const", const=True, help="vanilla 3DGS: photometric terms alone, without"
         " normals, stereo and sparse-view regularization")  # fmt: skip
+
+
+def _add_machines(add: Callable[..., Any]) -> None:
+    """Devices and processes that share the training."""
     add("--devices", metavar="N|all", help="share the photos of every step among so many devices, each with"
         " all Gaussians (default: 1; across machines: all)")  # fmt: skip
     add("--views-per-step", type=int, metavar="V", help="photos that a step takes, a multiple of the devices: fewer and"
@@ -89,14 +107,6 @@ def add_arguments(parser: Command) -> None:
         " where the first of them listens; auto reads it from the cluster's environment")  # fmt: skip
     add("--processes", type=int, metavar="P", help="how many processes there are, with --coordinator HOST:PORT")
     add("--process", type=int, metavar="I", help="which of them this is, from 0; the first alone writes RUN")
-    add("--set", metavar="KEY=VALUE", action="extend", nargs="+", dest="assignments",
-        help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
-    add("--resume", action="store_true", help="continue RUN from its last checkpoint with its own settings")
-    add_moved_scene(parser)
-    add("--deterministic", action="store_true", help="the same bits in every run on a GPU, too, where sums by atomics"
-        " differ from run to run; slower (a CPU's runs are the same without)")  # fmt: skip
-    add("--view", action="store_true", help="show the training on a page in the browser, as `gsjax view` does")
-    add_address(parser)
 
 
 def run(
