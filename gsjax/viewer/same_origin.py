@@ -9,7 +9,6 @@ import ipaddress
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -49,40 +48,33 @@ def guarded(host: str) -> Iterator[None]:
     A program that connects and does not speak as a page does is logged in one line at most. Viser has no option for
     the library beneath, so that library's function is exchanged for the moment.
     """
-    serve = server.serve
-    server.serve = partial(_serve, serve, is_local(host))  # pyright: ignore[reportAttributeAccessIssue]
+    original, only_here = server.serve, is_local(host)
+
+    def serve(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+        def checked(connection: Any, request: Request) -> Any:
+            if not only_here or is_own(request.headers):
+                return process_request(connection, request)
+            return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}), b"")
+
+        return original(*arguments, process_request=checked, logger=_CONNECTIONS, **options)
+
+    server.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
     try:
         yield
     finally:
-        server.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
+        server.serve = original  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def _serve(
-    serve: Callable[..., Any], is_local: bool, *arguments: Any, process_request: Callable[..., Any], **options: Any
-) -> Any:
-    def checked(connection: Any, request: Request) -> Any:
-        if not is_local or is_own(request.headers):
-            return process_request(connection, request)
-        return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}), b"")
-
-    return serve(*arguments, process_request=checked, logger=_CONNECTIONS, **options)
-
-
-class _OneLine(logging.Filter):
+def _in_one_line(record: logging.LogRecord) -> bool:
     """Log no line of connections without a request, as scans of ports make them; one line of others that fail."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        error = record.exc_info[1] if record.exc_info else None
-        if isinstance(error, InvalidHandshake | ConnectionError | EOFError):
-            return False
-        if error is not None:
-            record.msg, record.args = (
-                "view: a connection was closed after an error (%s: %s)",
-                (type(error).__name__, error),
-            )
-            record.exc_info = record.exc_text = None
-        return True
+    error = record.exc_info[1] if record.exc_info else None
+    if isinstance(error, InvalidHandshake | ConnectionError | EOFError):
+        return False
+    if error is not None:
+        record.msg, record.args = "view: a connection was closed after an error (%s: %s)", (type(error).__name__, error)
+        record.exc_info = record.exc_text = None
+    return True
 
 
 _CONNECTIONS = logging.getLogger(__name__)
-_CONNECTIONS.addFilter(_OneLine())
+_CONNECTIONS.addFilter(_in_one_line)
