@@ -33,14 +33,10 @@ def cameras_around(gaussians: Gaussians) -> tuple[Camera, ...]:
     """
     means, middle, radii = _spread(gaussians)
     wide, close = np.quantile(radii, [0.9, 0.5]) * [3.0, 1.5]
-    places = [
-        lambda size: _looking_in(middle, float(wide), size),
-        lambda size: _looking_in(middle, float(close), size),
-        lambda size: _looking_out(middle, float(0.1 * np.median(radii)), size),
-    ]
-    counts = [_count_seen(gaussians, means, radii, place(PROBE_SIZE)) for place in places]
+    places = (float(wide), 0.0, FOCAL), (float(close), 0.0, FOCAL), (0.0, float(0.1 * np.median(radii)), WIDE_FOCAL)
+    counts = [_count_seen(gaussians, means, radii, _cameras_at(middle, *place, PROBE_SIZE)) for place in places]
     best = int(np.argmax(counts))
-    return places[best if counts[best] > MUCH_BETTER * counts[0] else 0](SIZE)
+    return _cameras_at(middle, *places[best if counts[best] > MUCH_BETTER * counts[0] else 0], SIZE)
 
 
 def _spread(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -60,17 +56,11 @@ def _directions() -> np.ndarray:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], -1)
 
 
-def _looking_in(middle: np.ndarray, radius: float, size: int) -> tuple[Camera, ...]:
-    return tuple(_camera(middle + radius * d, middle, FOCAL, size) for d in _directions())
-
-
-def _looking_out(middle: np.ndarray, radius: float, size: int) -> tuple[Camera, ...]:
-    return tuple(_camera(middle, middle + radius * d, WIDE_FOCAL, size) for d in _directions())
-
-
-def _camera(eye: np.ndarray, target: np.ndarray, focal: float, size: int) -> Camera:
-    viewmat: Any = look_at(eye, target, np.array([0.0, 0.0, 1.0]))
-    return Camera(viewmat, _intrinsics(focal, size), size, size)
+def _cameras_at(middle: np.ndarray, eye: float, target: float, focal: float, size: int) -> tuple[Camera, ...]:
+    """Cameras so far from the middle in every direction, each looking at the point that is `target` away in it."""
+    up, K = np.array([0.0, 0.0, 1.0]), _intrinsics(focal, size)
+    poses: list[Any] = [look_at(middle + eye * each, middle + target * each, up) for each in _directions()]
+    return tuple(Camera(viewmat, K, size, size) for viewmat in poses)
 
 
 def _intrinsics(focal: float, size: int) -> Any:
