@@ -57,7 +57,7 @@ def _directions() -> np.ndarray:
 
 
 def _cameras_at(middle: np.ndarray, eye: float, target: float, focal: float, size: int) -> tuple[Camera, ...]:
-    """Cameras so far from the middle in every direction, each looking at the point that is `target` away in it."""
+    """Cameras `eye` from the middle in every direction; each faces the point that is `target` from the middle in it."""
     up, K = np.array([0.0, 0.0, 1.0]), _intrinsics(focal, size)
     poses: list[Any] = [look_at(middle + eye * each, middle + target * each, up) for each in _directions()]
     return tuple(Camera(viewmat, K, size, size) for viewmat in poses)
