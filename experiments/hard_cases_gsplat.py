@@ -3,18 +3,18 @@
     python experiments/hard_cases_gsplat.py OUT.json
 
 Renders and differentiates the cases of `tests/hard_scenes.py` in float32, and compares each side with its own float64.
-Writes and draws all errors, and prints the tables. Needs gsplat 1.5.3 and torch (`pip install gsplat torch`), no GPU:
-lists of pixels and sums along rays, which are CUDA in gsplat and nerfacc, are computed here.
+Writes and draws all errors, and prints the tables. Needs gsplat 1.5.3 and torch (`pip install gsplat torch`), no GPU.
 """
 
 import argparse
 import sys
 from importlib import metadata
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from benchmarks.peers import pixel_pairs, sums_along_rays
 
 from gsjax.cli import run_guarded
 
@@ -55,61 +55,6 @@ def gsplat_results(scene: Any, options: dict[str, Any], dtype: str) -> Results:
     gradients = torch.autograd.grad(loss, list(tensors.values()), allow_unused=True, materialize_grads=True)
     by_field = {name: gradient.numpy() for name, gradient in zip(FIELDS, gradients, strict=True)}
     return image.detach().numpy(), alphas.detach().numpy(), by_field
-
-
-def pixel_pairs(means2d: Any, conics: Any, opacities: Any, grid: Any, offsets: Any, listed: Any) -> Any:
-    """The pairs of a splat and a pixel that gsplat's kernel `rasterize_to_indices` lists, in float64.
-
-    `[N, 2]` means in pixels, `[N, 3]` conics, `[N]` opacities, the grid of one image, `[T + 1]` offsets of its tiles in
-    `[P]` listed splats -> `[M]` splats and `[M]` pixels, counted row by row: pixel by pixel, front to back.
-    """
-    import rasterizer
-
-    rules = rasterizer.GSPLAT_1_5
-    means2d, conics, opacities = (np.asarray(each, np.float64) for each in (means2d, conics, opacities))
-    offsets, listed = np.asarray(offsets), np.asarray(listed)
-    rows, columns = np.indices((grid.tile_size, grid.tile_size)).reshape(2, -1)
-    per_tile = []
-    for tile in range(grid.num_tiles):
-        ids = listed[offsets[tile] : offsets[tile + 1]]
-        column, row = tile % grid.tiles_x, tile // grid.tiles_x
-        across, down = column * grid.tile_size + columns, row * grid.tile_size + rows
-        inside = (across < grid.width) & (down < grid.height)
-        away_x, away_y = across[inside, None] + 0.5 - means2d[ids, 0], down[inside, None] + 0.5 - means2d[ids, 1]
-        a, b, c = conics[ids].T
-        sigmas = 0.5 * (a * away_x**2 + c * away_y**2) + b * away_x * away_y
-        with np.errstate(over="ignore"):
-            alphas = np.fmin(opacities[ids] * np.exp(-sigmas), rules.alpha_max)  # CUDA's min: the other one of a NaN
-        alphas = np.where((sigmas < 0) | (alphas < rules.alpha_min), 0, alphas)
-        is_drawn = (alphas > 0) & (np.cumprod(1 - alphas, -1) > rules.transmittance_min)
-        pixel, place = np.nonzero(is_drawn)
-        per_tile.append((ids[place], (down[inside] * grid.width + across[inside])[pixel]))
-    ids, pixels = (np.concatenate(each).astype(np.int64) for each in zip(*per_tile, strict=True))
-    order = np.argsort(pixels, kind="stable")
-    return ids[order], pixels[order]
-
-
-def sums_along_rays(torch: Any) -> ModuleType:
-    """The two functions of nerfacc that gsplat's reference calls, for samples in the order of their rays."""
-
-    def render_weight_from_alpha(alphas, *, ray_indices, n_rays):
-        del n_rays
-        # In float64: one running sum over all rays would cost the last ones their digits.
-        log_transmittances = torch.cumsum(torch.log1p(-alphas.double()), 0)
-        before = log_transmittances - torch.log1p(-alphas.double())
-        first = torch.searchsorted(ray_indices, ray_indices)
-        transmittances = torch.exp(before - before[first]).to(alphas.dtype)
-        return transmittances * alphas, transmittances
-
-    def accumulate_along_rays(weights, values, *, ray_indices, n_rays):
-        weighted = weights[:, None] if values is None else weights[:, None] * values
-        return weighted.new_zeros(n_rays, weighted.shape[-1]).index_add(0, ray_indices, weighted)
-
-    module = ModuleType("nerfacc")
-    module.__dict__.update(
-        render_weight_from_alpha=render_weight_from_alpha, accumulate_along_rays=accumulate_along_rays
-    )
-    return module
 
 
 def our_results(scene: Any, options: dict[str, Any], dtype: str) -> Results:

@@ -25,6 +25,16 @@ WORKLOADS = {
 }
 
 
+class Seen(NamedTuple):
+    """The splats of one camera, and its image's size in pixels."""
+
+    projection: Any
+    opacities: Any  # [N] as its pixels see them
+    colors: Any  # [N, 3]
+    width: int
+    height: int
+
+
 class Scene(NamedTuple):
     """(means, quats, scales, opacities, colors, viewmats, Ks), and the image's size in pixels."""
 
@@ -91,6 +101,36 @@ def scene_named(name: str) -> Scene:
     if name in WORKLOADS:
         return make_scene(WORKLOADS[name])
     return heavy_tailed_scene() if name == HEAVY else golden_scene()
+
+
+def workload_views(workload: str | Path, rules: Any) -> Seen:
+    """The splats of a row of the table by its name, or of a run by its folder."""
+    import rasterizer
+
+    if isinstance(workload, Path):
+        return seen_in_training(workload)
+    (means, quats, scales, opacities, colors, *cameras), width, height = scene_named(workload)
+    projection = rasterizer.project(means, quats, scales, opacities, *cameras, width, height, rules=rules)
+    return Seen(projection, opacities, colors, width, height)
+
+
+def seen_in_training(run: Path) -> Seen:
+    """A finished run's Gaussians from its first training camera, projected as it was trained.
+
+    Raises:
+        InputError: It is no finished run.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    from gsjax import rendering
+    from gsjax.runs.result import open_result
+
+    result = open_result(run)
+    gaussians, camera = jax.tree.map(jnp.asarray, (result.gaussians, result.cameras[result.held_out.index(False)]))
+    scene = rendering.drawable(gaussians)
+    projection, opacities = rendering.projected(scene, camera, "center")
+    return Seen(projection, opacities, rendering.colors(scene, camera), camera.width, camera.height)
 
 
 class Programs(NamedTuple):
