@@ -27,7 +27,7 @@ from gsjax.runs.result import write_views
 from gsjax.runs.splits import split_of
 from gsjax.scene import Scene
 from gsjax.scene.cameras import viewmat_centers
-from gsjax.settings import AUTO, NONE, Settings
+from gsjax.settings import AUTO, NONE, Photos, Settings
 from gsjax.training.plan import plan
 
 PLAN = "blocks.json"
@@ -122,7 +122,7 @@ def _planned(scene: Path, out: Path, settings: Settings, count: int) -> Blocks:
     file, request = out / PLAN, {"scene": str(scene.resolve()), "settings": json_files.plain(config.to_dict(settings))}
     if not file.exists():
         require_empty(out)
-        json_files.write(file, request | _divided(scene, settings, count))
+        json_files.write(file, request | _divided(scene, settings.photos, count))
     record = json_files.read(file, _SHAPE)
     for name, value in {**request, "blocks": count}.items():
         if {**record, "blocks": len(record["cells"])}[name] != value:
@@ -138,12 +138,12 @@ def _limits(limits: Sequence[float | None], beyond: float) -> tuple[float, float
     return first, second
 
 
-def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
+def _divided(scene: Path, photos: Photos, count: int) -> dict[str, Any]:
     """Return the plan's size of photos, cells, and photos of each cell."""
-    loaded = load_scene(scene, hold_out=settings.photos.hold_out, images=settings.photos.images)
-    photos = list_photos(scene, settings.photos.images)
-    names = [photo.name for photo in photos]
-    centers = viewmat_centers(np.stack([loaded.place.viewmat_to_world(photo.viewmat) for photo in photos]))
+    loaded = load_scene(scene, hold_out=photos.hold_out, images=photos.images)
+    listed = list_photos(scene, photos.images)
+    names = [photo.name for photo in listed]
+    centers = viewmat_centers(np.stack([loaded.place.viewmat_to_world(photo.viewmat) for photo in listed]))
     along = directions(centers)
     places = centers @ along.T
     cells, points = cut(places, count), _points_of_photos(loaded, names, along)
@@ -154,7 +154,7 @@ def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
         if (left := len(set(block) - held_out)) < FEWEST:
             raise InputError(f"blocks={count}: block {number} would have {left} photos to train on; make fewer")
         records.append({"low": cell.low, "high": cell.high, "photos": block})
-    return {"downscale": chosen_downscale(settings.photos, loaded.frames), "directions": along, "cells": records}
+    return {"downscale": chosen_downscale(photos, loaded.frames), "directions": along, "cells": records}
 
 
 def _points_of_photos(scene: Scene, names: Sequence[str], along: np.ndarray) -> list[np.ndarray]:

@@ -16,9 +16,9 @@ from gsjax.planning.sizes import at_size, training_extent
 from gsjax.presets import LENGTHS
 from gsjax.scene import Scene, preload
 from gsjax.scene.batches import NORMAL_UNIT
-from gsjax.settings import Settings
+from gsjax.settings import Model, Settings
 from gsjax.training import initialize, loop, optimizers
-from gsjax.training.plan import plan
+from gsjax.training.plan import Plan, plan
 from gsjax.training.state import initial_state
 
 RESERVED = 0.2  # of a budget: photos, effects, validation runs, the run's own normals, scores
@@ -80,19 +80,23 @@ def budgeted(
     Raises:
         InputError: The data set cannot be used, or the budget is too short for any candidate.
     """
-    began, scenes = time.perf_counter(), {}
+    began, scenes, plans = time.perf_counter(), {}, {}
     for name, settings in candidates.items():
-        loaded, downscale, _ = at_size(scene, settings.photos, settings.schedule.steps)
-        scenes[name] = loaded, settings.replace(photos={"downscale": downscale})
-    name = next(iter(scenes))
-    settings = scenes[name][1]
-    whole, compiling = measure(*scenes[name])
-    units = {other: _units(each, settings) for other, (_, each) in scenes.items()}
+        scenes[name], downscale, _ = at_size(scene, settings.photos, settings.schedule.steps)
+        plans[name] = replace(plan(settings), downscale=downscale)
+
+    def measure_run(name: str) -> tuple[float, float]:
+        return measure(scenes[name], plans[name], candidates[name].model)
+
+    name = next(iter(candidates))
+    whole, compiling = measure_run(name)
+    units = {other: _units(each, plans[name]) for other, each in plans.items()}
     fitting = (other for other in units if SHORTENED * whole * units[other] <= seconds * units[name])
     longest = max(fitting, key=units.__getitem__, default=name)
     if longest != name:
-        name, settings = longest, scenes[longest][1]
-        whole, compiling = measure(*scenes[name])
+        name = longest
+        whole, compiling = measure_run(name)
+    settings = candidates[name].replace(photos={"downscale": plans[name].downscale})
     spent = time.perf_counter() - began + compiling  # The run compiles its own programs.
     part = max(((1 - RESERVED) * seconds - spent) / whole, 0.0)
     run_settings = lasting(settings, min(part, 1.0) if name == LENGTHS[-1] else part)
@@ -107,12 +111,12 @@ def budgeted(
     )
 
 
-def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
+def measure(scene: Scene, planned: Plan, model: Model) -> tuple[float, float]:
     """Seconds of all steps of a run and of compiling, by the first steps of each phase on a few of its photos.
 
     They have the Gaussians of the run's end, so that phases in which Gaussians multiply take less than measured.
     """
-    size, planned, steps = training_extent(scene), plan(settings), UNTIMED + TIMED
+    size, steps = training_extent(scene), UNTIMED + TIMED
     frames = [preload(frame) for frame in scene.train_frames[:: -(-len(scene.train_frames) // PHOTOS)]]
     ends = [steps * number for number, _ in enumerate(planned.phases, 1)]
     pairs = zip(planned.phases, ends, strict=True)
@@ -120,7 +124,7 @@ def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
     # Gaussians do not multiply meanwhile; the statistics for it are gathered all the same.
     density = replace(planned.density, start=ends[-1] + 1, stop=ends[-1] + 2, reset_every=0)
     optimizer = optimizers.make_optimizer(planned.rates, size, planned.rates.decay_steps)
-    state = initial_state(_grown(scene, settings), optimizer, planned.rule)
+    state = initial_state(_grown(scene, model, planned.density.rule), optimizer, planned.rule)
 
     def maps(value: float, dtype: type, scale: int, *channels: int) -> list[np.ndarray]:
         return [np.full((each.height // scale, each.width // scale, *channels), value, dtype) for each in frames]
@@ -142,21 +146,20 @@ def measure(scene: Scene, settings: Settings) -> tuple[float, float]:
     return float(np.dot([phase.steps for phase in planned.phases], paces)), float(compiling)
 
 
-def _grown(scene: Scene, settings: Settings) -> Gaussians:
+def _grown(scene: Scene, model: Model, rule: str) -> Gaussians:
     """As many Gaussians as the run ends with, about the points of the scene."""
-    points, most = scene.points, settings.model.max_gaussians
-    count = most if settings.density.rule == "error" else min(most, GROWN * len(points))
+    points, most = scene.points, model.max_gaussians
+    count = most if rule == "error" else min(most, GROWN * len(points))
     indices = np.resize(np.random.default_rng(0).permutation(len(points)), count)
     spacing = KDTree(points).query(points, min(4, len(points)))[0].reshape(len(points), -1)[indices, -1:]
     means = points[indices] + np.random.default_rng(1).normal(size=(count, 3)) * spacing / 2
-    how = {"sh_degree": settings.model.sh_degree, "pixel_filter": settings.model.pixel_filter, "opacity": 0.5}
+    how = {"sh_degree": model.sh_degree, "pixel_filter": model.pixel_filter, "opacity": 0.5}
     gaussians = initialize.from_points(means.astype(np.float32), scene.point_colors[indices], capacity=count, **how)
     return replace(gaussians, log_scales=gaussians.log_scales + math.log(WIDENED))
 
 
-def _units(settings: Settings, other: Settings) -> float:
-    """All steps of a run, in plain steps of another one on the same photos; both name a size."""
-    assert settings.photos.downscale and other.photos.downscale
-    pixels = (other.photos.downscale / settings.photos.downscale) ** 2
-    step = FIXED_COST * settings.model.max_gaussians / other.model.max_gaussians + (1 - FIXED_COST) * pixels
-    return step * sum(phase.steps * relative_cost(phase) for phase in plan(settings).phases)
+def _units(planned: Plan, other: Plan) -> float:
+    """All steps of a run, in plain steps of another one on the same photos."""
+    pixels = (other.downscale / planned.downscale) ** 2
+    step = FIXED_COST * planned.max_gaussians / other.max_gaussians + (1 - FIXED_COST) * pixels
+    return step * sum(phase.steps * relative_cost(phase) for phase in planned.phases)

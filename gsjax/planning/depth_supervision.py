@@ -10,7 +10,7 @@ from gsjax.errors import InputError
 from gsjax.io.depth_maps import DepthMaps, Readings, open_depth_maps
 from gsjax.io.messages import print_once
 from gsjax.scene import Frame, Scene
-from gsjax.settings import Settings, Supervision
+from gsjax.settings import Supervision
 from gsjax.stereo import PhotoDepths, StereoMaps, depths_of_photos, read_stereo_maps, stereo_maps
 from gsjax.training.loop import Depths
 
@@ -133,15 +133,18 @@ class StereoSupervision(NamedTuple):
         return depth, np.where(depth > 0, CERTAIN, 0).astype(np.uint8)
 
 
-def stereo_supervision(scene: Scene, settings: Settings, run: Path | None) -> StereoSupervision:
+def stereo_supervision(
+    scene: Scene, supervision: Supervision, run: Path | None, *, vanilla: bool = False
+) -> StereoSupervision:
     """Compute the stereo maps of the training photos, where the settings request them; a resumed `run` has its own.
+
+    Vanilla 3DGS has none.
 
     Raises:
         InputError: The tracks or the maps of the run cannot be read.
     """
-    supervision = settings.supervision
     is_complete = supervision.normals is not None and supervision.depth is not None
-    if not supervision.stereo_weight or settings.schedule.vanilla or is_complete:
+    if not supervision.stereo_weight or vanilla or is_complete:
         return StereoSupervision({})
     swept = None if run is not None else depths_of_photos(scene, MOST_PHOTOS)
     maps = stereo_maps(swept) if swept is not None else read_stereo_maps(run) or {}

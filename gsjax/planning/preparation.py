@@ -145,12 +145,13 @@ def prepare(request: RunRequest, loaded: LoadedScene) -> StepInputs:
     settings, maps = request.settings, request.settings.supervision
     memory, sparse = _size(request, loaded.scene)
     scene = read_photos(loaded.scene, memory.keep)
-    report(*_opening_lines(memory.plan, settings, loaded.line), sparse and sparse.line(memory.plan))
+    report(*_opening_lines(memory.plan, settings.schedule.dropout, loaded.line), sparse and sparse.line(memory.plan))
     inspected = inspect_photos(settings.effects.names, scene)
     scene = inspected.scene
     extent = training_extent(scene)
     measured, start = measured_depth(scene, maps), with_given_points(scene, settings.model.points)
-    stereo = stereo_supervision(scene, settings, request.out if request.resumed else None)
+    own_maps = request.out if request.resumed else None
+    stereo = stereo_supervision(scene, maps, own_maps, vanilla=settings.schedule.vanilla)
     depths = measured.depths if measured else stereo.depths(scene.train_frames)
     planned = memory.plan if depths else memory.plan.without("measured")
     normals_line = stereo.line if stereo.maps else _own_normals_line(planned)
@@ -218,12 +219,12 @@ def _own_normals_line(planned: Plan) -> str | None:
     return "no maps of normals (supervision.normals): the rendered depth replaces a network"
 
 
-def _opening_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:
+def _opening_lines(planned: Plan, dropout: float, photos_line: str) -> list[str]:
     """Where the run computes and with which engine, on what, and what of the plan may surprise."""
     engine = engine_here()
     lines = [f"on {engine.device} with the {engine.name} rasterizer", photos_line]
-    if settings.schedule.dropout:
-        lines.append(f"every step leaves out {settings.schedule.dropout:.0%} of the Gaussians")
+    if dropout:
+        lines.append(f"every step leaves out {dropout:.0%} of the Gaussians")
     if any(phase.rule is DENSIFICATION_RULES["adc"] for phase in planned.phases):
         lines.append(f"densification stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
     return lines

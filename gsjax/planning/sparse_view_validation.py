@@ -18,7 +18,7 @@ from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Scene, batches, preload, tracks_by_name
 from gsjax.scene.cameras import Camera, landing
-from gsjax.settings import Settings
+from gsjax.settings import Model, Settings
 from gsjax.stereo import PhotoDepths, depths_of_photos
 from gsjax.training import optimizers
 from gsjax.training.plan import Plan, plan
@@ -61,7 +61,7 @@ def gain(scene: Scene, settings: Settings, change: Callable[[Plan], Plan]) -> Ga
             parted = tuple(replace(each, held_out=index % FOLDS == fold) for index, each in enumerate(frames))
             fold_scene = replace(scene, frames=parted)
             depths = cache(partial(depths_of_photos, fold_scene))
-            scores = [score_variant(each, fold_scene, depths, short, matched, bar.update) for each in variants]
+            scores = [score_variant(each, fold_scene, depths, short.model, matched, bar.update) for each in variants]
             pairs += zip(*scores, strict=True)
             so_far = _gain_of(pairs)
             if fold + 1 >= FEWEST_FOLDS and so_far.is_sure and not so_far.is_contradicted:
@@ -81,7 +81,7 @@ def score_variant(
     variant: Variant,
     scene: Scene,
     depths: Callable[[], PhotoDepths],
-    settings: Settings,
+    model: Model,
     matched: Mapping[str, np.ndarray],
     observe: Observe,
 ) -> list[Score]:
@@ -90,7 +90,7 @@ def score_variant(
     `depths` computes stereo depth of those that are trained on; `matched` has `[P, 3]` points by the photo's name.
     """
     started, _ = with_stereo_points(scene, variant.plan, depths)
-    model = replace(settings.model, max_gaussians=variant.plan.max_gaussians)
+    model = replace(model, max_gaussians=variant.plan.max_gaussians)
     state = first_state(started, model, variant.plan.rule, variant.optimizer, {}, rows=model.max_gaussians)
     state = variant.train(scene.train_frames, state, observe)
     photos = batches.read_batches(scene.held_out_frames, scale=variant.plan.phases[0].scale).views

@@ -14,7 +14,7 @@ from jax import Array
 from gsjax.effects import transients
 from gsjax.errors import InputError
 from gsjax.scene import Frame
-from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
+from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Schedule, Settings, Supervision
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
 from gsjax.training.terms import TERMS, LossTerm, Term, needs, weigh_terms, weights_of_data
 from gsjax.training.terms.checking import as_terms, check_term
@@ -216,32 +216,12 @@ def plan(
         InputError: A weight has no term, or a term needs data that the run does not have.
     """
     all_terms, rule = {**TERMS, **as_terms(terms)}, densification or rule_named(settings.density.rule)
+    schedule, views = settings.schedule, settings.schedule.views_per_step
     phases, begin = [], 0
-    for phase in settings.schedule.phases:
-        phase_terms = _weighed(settings, phase, all_terms)
-        for each in phase_terms:
-            where = f"schedule.phases.{phase.name}.weights.{each.name}"
-            if not settings.supervision.has_depth and "measured" in each.term.needs:
-                raise InputError(f"{where}: needs measured depth (supervision.depth)")
-            if "sky" in each.term.needs:
-                raise InputError(f"{where}: the effect sky adds this term where photos show sky")
-        end = begin + _fewer(phase.steps, settings.schedule.views_per_step)
-        cull = 0.0 if settings.schedule.vanilla else phase.cull_below
-        planned = PlannedPhase(
-            phase.name,
-            begin,
-            end,
-            phase.image_scale,
-            phase_terms,
-            rule if phase.density_control else None,
-            cull,
-            dropout=settings.schedule.dropout,
-        )
-        if any(each.is_surface for each in phase_terms):
-            planned = replace(planned, surface_every=phase.surface_every, surface_scale=phase.surface_scale)
-        phases.append(planned)
-        begin = end
-    views = settings.schedule.views_per_step
+    for phase in schedule.phases:
+        phase_terms = _weighed(phase, all_terms, settings.supervision, vanilla=schedule.vanilla)
+        phases.append(_planned_phase(phase, begin, schedule, phase_terms, rule))
+        begin = phases[-1].end
     return Plan(
         phases=tuple(phases),
         seed=settings.seed,
@@ -249,13 +229,13 @@ def plan(
         depth_mode=settings.model.depth_mode,
         views_per_step=views,
         max_gaussians=settings.model.max_gaussians,
-        sh_every=_fewer(settings.schedule.sh_every, views),
+        sh_every=_fewer(schedule.sh_every, views),
         rates=_rates(settings.rates, views, begin),
         density=_in_steps(settings.density, views, "start", "stop", "every", "reset_every"),
         logging=_in_steps(settings.logging, views, "metrics_every", "evaluate_every", "checkpoint_every"),
-        stereo_points=0 if settings.schedule.vanilla else settings.model.stereo_points,
+        stereo_points=0 if schedule.vanilla else settings.model.stereo_points,
         rule=rule,
-    ).with_effects(tuple(effects))
+    ).with_effects(effects)
 
 
 def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
@@ -277,15 +257,41 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
             check_term(each, wide, high, planned.depth_mode)
 
 
-def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[LossTerm, ...]:
-    """The terms of a phase; of plain 3DGS those of the image alone."""
-    supervision = settings.supervision
+def _planned_phase(
+    phase: Phase, begin: int, schedule: Schedule, terms: tuple[LossTerm, ...], rule: DensificationRule
+) -> PlannedPhase:
+    planned = PlannedPhase(
+        phase.name,
+        begin,
+        begin + _fewer(phase.steps, schedule.views_per_step),
+        phase.image_scale,
+        terms,
+        rule if phase.density_control else None,
+        0.0 if schedule.vanilla else phase.cull_below,
+        dropout=schedule.dropout,
+    )
+    if not any(each.is_surface for each in terms):
+        return planned
+    return replace(planned, surface_every=phase.surface_every, surface_scale=phase.surface_scale)
+
+
+def _weighed(
+    phase: Phase, terms: Mapping[str, Term], supervision: Supervision, *, vanilla: bool
+) -> tuple[LossTerm, ...]:
+    """The terms of a phase, whose data the run has; of vanilla 3DGS those of the image alone."""
     everywhere = weights_of_data("measured", supervision.weight_of_depth) if supervision.has_depth else {}
+    where = f"schedule.phases.{phase.name}"
     try:
-        phase_terms = weigh_terms({**everywhere, **phase.weights}, terms)
+        weighed = weigh_terms({**everywhere, **phase.weights}, terms)
     except InputError as error:
-        raise InputError(f"schedule.phases.{phase.name}.{error}") from error
-    return tuple(each for each in phase_terms if each.name in PLAIN) if settings.schedule.vanilla else phase_terms
+        raise InputError(f"{where}.{error}") from error
+    weighed = tuple(each for each in weighed if each.name in PLAIN or not vanilla)
+    for each in weighed:
+        if not supervision.has_depth and "measured" in each.term.needs:
+            raise InputError(f"{where}.weights.{each.name}: needs measured depth (supervision.depth)")
+        if "sky" in each.term.needs:
+            raise InputError(f"{where}.weights.{each.name}: the effect sky adds this term where photos show sky")
+    return weighed
 
 
 def _fewer(steps: int, views: int) -> int:

@@ -13,6 +13,7 @@ from gsjax.gaussians import is_alive
 from gsjax.planning import budget
 from gsjax.presets import LENGTHS, PRESETS
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings
+from gsjax.training.plan import plan
 
 NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
 
@@ -63,11 +64,11 @@ class Machine:
         monkeypatch.setattr(budget, "at_size", lambda scene, photos, steps: (scene, 1 + bool(photos.cpu_pixels), ""))
         monkeypatch.setattr(budget, "measure", self.measure)
 
-    def measure(self, scene, settings):
-        name = next(name for name, each in NAMED.items() if each.schedule.phases == settings.schedule.phases)
+    def measure(self, scene, planned, model):
+        name = next(name for name, each in NAMED.items() if each.schedule.steps == planned.steps)
         self.measured.append(name)
         self.now += 4.0
-        return self.paces[name] * settings.schedule.steps, 6.0
+        return self.paces[name] * planned.steps, 6.0
 
     def spent(self, seconds, settings, name):
         """Seconds of the whole run, what is reserved for photos and scores included."""
@@ -136,7 +137,7 @@ def test_the_first_twenty_steps_of_each_phase_are_timed_and_the_compiling_ones_l
                 one.observe(None)
 
     monkeypatch.setattr(budget.loop, "follow", follow)
-    whole, compiling = budget.measure(wall(20, num_points=40), SETTINGS)
+    whole, compiling = budget.measure(wall(20, num_points=40), plan(SETTINGS), SETTINGS.model)
     assert whole == pytest.approx(700 * 1 + 900 * 2 + 30 * 3) and compiling == pytest.approx(3 * 27)
     (fold,), (state,) = work, states
     phases = [(phase.begin, phase.end, phase.cull_below) for phase in fold.plan.phases]

@@ -9,7 +9,7 @@ from photographed_wall import wall
 from gsjax.planning import depth_supervision as module
 from gsjax.planning import start
 from gsjax.planning.depth_supervision import stereo_supervision
-from gsjax.settings import Model, Schedule, Settings, Supervision
+from gsjax.settings import Model, Settings, Supervision
 from gsjax.stereo import PhotoDepths, StereoMap, StereoPoints, depths_of_photos, write_stereo_maps
 from gsjax.training.plan import plan
 
@@ -19,7 +19,7 @@ DEPTH[:, 24:] = 3.0
 NORMALS = np.zeros((36, 48, 3), np.int8)
 NORMALS[:, 24:] = [0, 0, -127]
 MAPS = {SCENE.frames[0].name: StereoMap(DEPTH, NORMALS)}
-ASKED = Settings(supervision=Supervision(stereo_weight=0.3))
+ASKED = Supervision(stereo_weight=0.3)
 
 
 @pytest.fixture
@@ -52,16 +52,12 @@ def test_depth_is_that_of_the_photo_at_its_size_and_nothing_elsewhere(swept):
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [
-        Settings(),
-        ASKED.replace(schedule=Schedule(vanilla=True)),
-        ASKED.replace(supervision={"normals": "folder", "depth": "depth"}),
-    ],
+    ("requested", "vanilla"),
+    [(Supervision(), False), (ASKED, True), (replace(ASKED, normals="folder", depth="depth"), False)],
     ids=["not asked for", "vanilla", "maps of both are given"],
 )
-def test_nothing_is_compared_where_nothing_asks_for_it(swept, settings):
-    supervision = stereo_supervision(SCENE, settings, None)
+def test_nothing_is_compared_where_nothing_asks_for_it(swept, requested, vanilla):
+    supervision = stereo_supervision(SCENE, requested, None, vanilla=vanilla)
     assert not swept and not supervision.maps and supervision.depths(SCENE.frames) is None
 
 
