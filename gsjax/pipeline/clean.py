@@ -74,27 +74,25 @@ def clean(
         if in_place and _original(out).exists() and not _is_unfinished(out):
             raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` restores {_original(out)}")
         box = None if box is None else given_box("box", box)
-        sphere = None if sphere is None else given_numbers("sphere", sphere, 4).tolist()
-        if sphere is not None and not sphere[3] > 0:
-            raise InputError(f"sphere: its radius {sphere[3]:g} is not above 0")
+        sphere = None if sphere is None else _given_sphere(sphere)
         sweep_beside(out)
         whole = load_gaussians(source)
         result = open_result(source, scene=scene) if is_run(source) or scene is not None else None
         kinds = _outliers_by_kind(whole, result)
         is_outlier = kinds["giants"] | kinds["isolated"]
-        kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~is_outlier
-        is_removed = is_outlier | kinds["cropped"]
+        is_outside = _outside(whole, box, sphere)
+        if crop_to_cameras:
+            is_outside |= _outside_cameras(source, result)
+        kinds["cropped"] = is_outside & ~is_outlier
+        is_removed = is_outlier | is_outside
         if is_removed.all():
             raise InputError(f"{source}: none of its {len(is_removed)} Gaussians would be left")
-        counts = {kind: int(is_of_kind.sum()) for kind, is_of_kind in kinds.items()}
         place = stated_place(file)
         picture = _picture(result, is_removed, out) if result is not None and is_removed.any() else None
-        if in_place and is_removed.any():
-            with atomic_path(_original(out)) as copy:
-                shutil.copyfile(out, copy)
-        if not in_place or is_removed.any():
+        original = _copy_original(out) if in_place and is_removed.any() else None
+        if not in_place or original is not None:
             format_of(out).write(out, take(whole, ~is_removed), place)  # Last: from now on it is cleaned.
-        original = str(_original(out)) if in_place and is_removed.any() else None
+        counts = {kind: int(is_of_kind.sum()) for kind, is_of_kind in kinds.items()}
         return {"gaussians": int((~is_removed).sum()), **counts, "original": original, "picture": picture}
 
 
@@ -132,8 +130,22 @@ def _kept_alone(file: Path) -> AbstractContextManager[None]:
     return lock_folder(file.parent) if is_run(file.parent) else nullcontext()
 
 
+def _given_sphere(sphere: Sequence[float]) -> list[float]:
+    numbers = given_numbers("sphere", sphere, 4).tolist()
+    if not numbers[3] > 0:
+        raise InputError(f"sphere: its radius {numbers[3]:g} is not above 0")
+    return numbers
+
+
 def _original(file: Path) -> Path:
     return Path(f"{file}.original{file.suffix}")
+
+
+def _copy_original(file: Path) -> str:
+    original = _original(file)
+    with atomic_path(original) as copy:
+        shutil.copyfile(file, copy)
+    return str(original)
 
 
 def _is_unfinished(file: Path) -> bool:
@@ -163,14 +175,7 @@ def _cameras(result: Result) -> list[Camera]:
     return [training[index] for index in indices]
 
 
-def _outside(
-    whole: Gaussians,
-    result: Result | None,
-    source: Path,
-    crop_to_cameras: bool,
-    box: Sequence[float] | None,
-    sphere: Sequence[float] | None,
-) -> np.ndarray:
+def _outside(whole: Gaussians, box: Sequence[float] | None, sphere: Sequence[float] | None) -> np.ndarray:
     """`[N]` bool: whose means are outside the region."""
     means = np.asarray(whole.means, np.float64)
     outside = np.zeros(len(means), bool)
@@ -178,15 +183,18 @@ def _outside(
         outside |= ((means < box[:3]) | (means > box[3:])).any(axis=1)
     if sphere is not None:
         outside |= np.linalg.norm(means - sphere[:3], axis=1) > sphere[3]
-    if crop_to_cameras:
-        if result is None:
-            raise InputError(f"{source}: comes without cameras, and a crop to cameras needs a run or a scene")
-        focus = outliers.looked_at(_cameras(result))
-        if focus is None:
-            raise InputError(f"{source}: its cameras have no common focus; give a box or a sphere")
-        middle, radius = focus
-        outside |= np.linalg.norm(np.asarray(result.gaussians.means, np.float64) - middle, axis=1) > radius
     return outside
+
+
+def _outside_cameras(source: Path, result: Result | None) -> np.ndarray:
+    """`[N]` bool: whose means are outside the sphere that the cameras surround."""
+    if result is None:
+        raise InputError(f"{source}: comes without cameras, and a crop to cameras needs a run or a scene")
+    focus = outliers.looked_at(_cameras(result))
+    if focus is None:
+        raise InputError(f"{source}: its cameras have no common focus; give a box or a sphere")
+    middle, radius = focus
+    return np.linalg.norm(np.asarray(result.gaussians.means, np.float64) - middle, axis=1) > radius
 
 
 def _picture(result: Result, is_removed: np.ndarray, out: Path) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import expit
 
 from gsjax.errors import InputError
-from gsjax.gaussians import take
+from gsjax.gaussians import Gaussians, take
 from gsjax.io.gaussian_files import format_of, load_gaussians, stored_similarity
 from gsjax.io.georeference_files import stated_place
 from gsjax.io.temporary_files import sweep_beside
@@ -55,17 +55,12 @@ def convert(
     if min_opacity is not None and not 0 <= min_opacity <= 1:
         raise InputError(f"min_opacity={min_opacity:g} is not between 0 and 1")
     gaussians = load_gaussians(source)
-    is_kept = np.ones(gaussians.num_gaussians, bool)
-    if crop is not None:
-        means = np.asarray(gaussians.means)
-        is_kept &= np.all((means >= np.array(crop[:3])) & (means <= np.array(crop[3:])), axis=1)
-    if min_opacity is not None:
-        is_kept &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
+    is_kept = _are_wanted(gaussians, crop, min_opacity)
     if not is_kept.any() and len(is_kept):
         raise InputError(f"{source}: none of its {len(is_kept)} Gaussians is left by crop and min_opacity")
     remaining = take(gaussians, is_kept)
     if sh_degree is not None:
-        remaining = replace(remaining, sh_rest=remaining.sh_rest[:, : (sh_degree + 1) ** 2 - 1])
+        remaining = up_to_degree(remaining, sh_degree)
     place = stated_place(source / "gaussians.ply" if source.is_dir() else source)
     clipped = format_of(out).write(out, remaining, place)
     stored = stored_similarity(out)
@@ -78,6 +73,22 @@ def convert(
         "pixel_filter": remaining.pixel_filter,
         "bytes": out.stat().st_size,
     }
+
+
+def _are_wanted(gaussians: Gaussians, crop: Sequence[float] | None, min_opacity: float | None) -> np.ndarray:
+    """`[N]` bool: which Gaussians are in the box and opaque enough."""
+    is_wanted = np.ones(gaussians.num_gaussians, bool)
+    if crop is not None:
+        means = np.asarray(gaussians.means)
+        is_wanted &= np.all((means >= np.array(crop[:3])) & (means <= np.array(crop[3:])), axis=1)
+    if min_opacity is not None:
+        is_wanted &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
+    return is_wanted
+
+
+def up_to_degree(gaussians: Gaussians, sh_degree: int) -> Gaussians:
+    """The Gaussians without harmonics above a degree."""
+    return replace(gaussians, sh_rest=gaussians.sh_rest[:, : (sh_degree + 1) ** 2 - 1])
 
 
 def given_box(option: str, box: Sequence[float]) -> list[float]:

@@ -2,10 +2,10 @@
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -32,12 +32,17 @@ from gsjax.scene.meshes import Mesh
 FEWEST_TRIED = 20  # views, where there are as many, by which `auto` judges a method
 
 
-class Request(NamedTuple):
+@dataclass(frozen=True)
+class Request:
     """What surface is requested, whatever the method."""
 
     options: MethodOptions
     crop: Crop
     faces: int  # at most, of a region
+
+    def __post_init__(self):
+        if self.faces < 1:
+            raise InputError(f"faces={self.faces} is below 1")
 
 
 def mesh(
@@ -101,21 +106,17 @@ def mesh(
     supported_suffix(Path(out))
     require_apart(out, source, scene)
     sweep_beside(Path(out))
-    if faces < 1:
-        raise InputError(f"faces={faces} is below 1")
     options = MethodOptions(level, points, depth, trim_quantile, cell)
     methods = methods_of(method, options)
     request = Request(options, crop_of(bounds, background_bounds, foreground_only), faces)
     needs = frozenset[str]().union(*(each.needs for each in methods.values()))
     result, data = _open(Path(source), scene, with_photos=photo_refine or len(methods) > 1 or "photos" in needs)
     request = _to_local(request, result)
-
     views, floaters = MeshViews(result, data, with_owners="owners" in needs), None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
         views, floaters = views.without_floaters()
-    name, judgements = _select(methods, request, views)
-    surface, report = _extract(methods[name], request, views, views.ids)
-    report |= {"method": name, "tried": judgements, "floaters": floaters, "holes": None, "photo_refine": None}
+    surface, report = _extract_best(methods, request, views)
+    report |= {"floaters": floaters, "holes": None, "photo_refine": None}
     if fill_holes:
         surface, closed = holes.fill_holes(surface, views.rendered)
         report |= {"holes": closed, "topology": topology(surface)}
@@ -150,7 +151,14 @@ def _to_local(request: Request, result: Result) -> Request:
     crop.require_reached(result.gaussians, similarity)
     if options.points is None:
         options = replace(options, points=level_set.points_for(result.cameras))
-    return request._replace(options=options, crop=crop)
+    return replace(request, options=options, crop=crop)
+
+
+def _extract_best(methods: Mapping[str, MeshMethod], request: Request, views: MeshViews) -> tuple[Mesh, dict[str, Any]]:
+    """Return the mesh by the method that is selected, and the report of it and of those that were tried."""
+    name, judgements = _select(methods, request, views)
+    surface, report = _extract(methods[name], request, views, views.ids)
+    return surface, report | {"method": name, "tried": judgements}
 
 
 def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshViews) -> tuple[str, dict[str, dict]]:
@@ -165,7 +173,7 @@ def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshView
     if witness is None:
         return USUAL, {}
     ids = views.spread(max(len(views.ids) // 10, FEWEST_TRIED))
-    extract = partial(_extract, request=request._replace(options=request.options.for_comparison), views=views, ids=ids)
+    extract = partial(_extract, request=replace(request, options=request.options.for_comparison), views=views, ids=ids)
     name, judgements = select_method({name: lambda m=m: extract(m)[0] for name, m in methods.items()}, witness)
     print(f"mesh: {name}, by {witness.says}", file=sys.stderr)
     print(tables.compare(judgements), file=sys.stderr)

@@ -19,7 +19,7 @@ from gsjax.networks.records import DEPTH_NETWORKS, NETWORKS, DepthNetwork, Norma
 from gsjax.normals.axes import axes_verdict, facing_votes
 from gsjax.normals.fitted_depth import DepthFit
 from gsjax.planning.sizes import chosen_downscale
-from gsjax.scene import Frame
+from gsjax.scene import Frame, Scene
 from gsjax.settings import Photos
 
 MOST_NAMED = 5  # rejected photos that a report names
@@ -63,46 +63,39 @@ def normals(
     name, record = read_network(network)
     is_depth = isinstance(record, DepthNetwork)
     estimator = DepthEstimator(record, weights) if is_depth else NormalEstimator(record, weights)
-    loaded = load_scene(scene, images=images)
-    # Not asking jax for its device: a GPU's memory is the network's here.
-    downscale = chosen_downscale(Photos(downscale=downscale), loaded.frames, on_cpu=False)
-    if downscale != 1:
-        loaded = load_scene(scene, downscale=downscale, images=images)
-    frames = loaded.frames
+    loaded, downscale = _load(scene, images, downscale)
     estimate = DepthNormals(estimator, loaded) if isinstance(estimator, DepthEstimator) else _unfitted(estimator)
     folder = Path(scene) / f"{normal_folders.PREFIX}{name}" if out is None else Path(out)
-    made_by = {
-        "network": name,
-        "sha256": estimator.graph.sha256,
-        "record": config.to_dict(record),
-        "downscale": downscale,
-        "images": images,
-    }
+    photos = {"downscale": downscale, "images": images}
+    made_by = {"network": name, "sha256": estimator.graph.sha256, "record": config.to_dict(record), **photos}
     with folder_if_used(folder):
         manifest = normal_folders.begin(folder, made_by)
-        missing = _missing(folder, manifest, frames)
-        began = time.perf_counter()
-        places = map_places(frames)
+        missing = _missing(folder, manifest, loaded.frames)
+        began, places = time.perf_counter(), map_places(loaded.frames)
         for frame in tqdm(missing, desc=f"{name} on {estimator.graph.device}", unit="photo", leave=bool(missing)):
             normal_map, fit = estimate(frame)
             file = Path(f"{places[frame.name]}.npz")
             normal_folders.add(folder, manifest, frame.name, file, normal_map, _about(frame, normal_map, fit))
         seconds = time.perf_counter() - began
-    maps = [manifest["maps"][frame.name] for frame in frames]
-    if is_depth:
-        judged_by = _fits(manifest["maps"], frames)
-    else:
-        judged_by = {"axes": axes_verdict(np.sum([one["votes"] for one in maps], axis=0))}
+    maps = {frame.name: manifest["maps"][frame.name] for frame in loaded.frames}
     return {
         "maps": len(maps),
         "made": len(missing),
-        "known": float(np.mean([one["known"] for one in maps])),
-        **judged_by,
+        "known": float(np.mean([one["known"] for one in maps.values()])),
+        **(_fits(maps) if is_depth else _axes(maps)),
         "provider": estimator.graph.provider,
         "seconds_per_map": seconds / len(missing) if missing else None,
         "licence": record.licence,
         "folder": str(folder),
     }
+
+
+def _load(scene: str | Path, images: str | None, downscale: float | None) -> tuple[Scene, float]:
+    """The data set at the size of its maps, and how many times smaller that is."""
+    loaded = load_scene(scene, images=images)
+    # Not asking jax for its device: a GPU's memory is the network's here.
+    factor = chosen_downscale(Photos(downscale=downscale), loaded.frames, on_cpu=False)
+    return loaded if factor == 1 else load_scene(scene, downscale=factor, images=images), factor
 
 
 def read_network(network: str | Path) -> tuple[str, NormalNetwork | DepthNetwork]:
@@ -144,17 +137,22 @@ def _about(frame: Frame, normal_map: np.ndarray, fit: DepthFit | None) -> dict[s
     return about | {"fit": numbers, "rejected": fit.fault}
 
 
-def _fits(maps: Mapping[str, Any], frames: tuple[Frame, ...]) -> dict[str, str]:
+def _axes(maps: Mapping[str, Any]) -> dict[str, str]:
+    """What the maps themselves say for the record's axes."""
+    return {"axes": axes_verdict(np.sum([one["votes"] for one in maps.values()], axis=0))}
+
+
+def _fits(maps: Mapping[str, Any]) -> dict[str, str]:
     """How well a network for depth fits the tracks, and which photos it does not fit."""
-    rejected = [(frame.name, why) for frame in frames if (why := maps[frame.name]["rejected"])]
-    fits = [maps[frame.name]["fit"] for frame in frames if not maps[frame.name]["rejected"]]
+    rejected = [(name, why) for name, one in maps.items() if (why := one["rejected"])]
+    fits = [one["fit"] for one in maps.values() if not one["rejected"]]
     summary = "none"
     if fits:
         error, explained = (np.median([fit[name] for fit in fits]) for name in ("error", "explained"))
         summary = f"{100 * error:.1f} % off the tracks' depth, explains {explained:.2f} of it (medians)"
     named = "; ".join(f"{name} ({why})" for name, why in rejected[:MOST_NAMED])
     more = f"; and {len(rejected) - MOST_NAMED} more" if len(rejected) > MOST_NAMED else ""
-    return {"fit": summary, "rejected": f"{len(rejected)} of {len(frames)}" + (f": {named}{more}" if rejected else "")}
+    return {"fit": summary, "rejected": f"{len(rejected)} of {len(maps)}" + (f": {named}{more}" if rejected else "")}
 
 
 def _camera(frame: Frame) -> list[float]:

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Unpack
@@ -86,33 +87,40 @@ def scan(
     if reconstruction and is_data_set(source):
         options = " and ".join(reconstruction)
         raise InputError(f"{source}: is a data set, whose cameras are known; {options}: for photos or a video only")
-    request = {
-        "source": str(source.resolve()),
-        "frames": None,
-        "settings": config.to_dict(settings),
-        "refinement": config.to_dict(refinement),
-        **_recorded(reconstruction),
-        **pieces_record(terms, densification, effects),
-        **({} if method == AUTO else {"method": method_name(method) if callable(method) else method}),
-    }
-    pieces = {"terms": terms, "densification": densification, "effects": effects}
+    pieces: dict[str, Any] = {"terms": terms, "densification": densification, "effects": effects}
+    configs = {"settings": config.to_dict(settings), "refinement": config.to_dict(refinement)}
+    chosen_method = {} if method == AUTO else {"method": method_name(method) if callable(method) else method}
+    request = _request(source, configs, reconstruction) | pieces_record(**pieces) | chosen_method
+    stages = _stages(
+        source,
+        out,
+        reconstruction,
+        partial(train, settings=settings, **pieces),
+        partial(mesh, method=method),
+        partial(refine, settings=refinement),
+    )
     _require_scan(out)  # Before anything of ours is in it.
     with lock_folder(make_folder(out)):
         sweep(out)
         report = _report_so_far(out, request)
-        for stage in _stages(source, out, settings, refinement, reconstruction, pieces, method):
+        for stage in stages:
             if not (stage.is_done() and stage.name in report["stages"]):
                 progress(f"scan: {stage.name}")
                 _do(stage, out, report)
-        report |= {
-            "mesh": str(out / "mesh.glb"),
-            "picture": str(_overview(out)),
-            "machine": machine(),
-            "versions": versions(),
-        }
-        json_files.write(out / "report.json", report)
-        write_report(out)
-        return report
+        return _finish(out, report)
+
+
+def _finish(out: Path, report: dict[str, Any]) -> dict[str, Any]:
+    """Write the report of all stages, its page and the picture."""
+    report |= {
+        "mesh": str(out / "mesh.glb"),
+        "picture": str(_overview(out)),
+        "machine": machine(),
+        "versions": versions(),
+    }
+    json_files.write(out / "report.json", report)
+    write_report(out)
+    return report
 
 
 def _do(stage: Stage, out: Path, report: dict[str, Any]) -> None:
@@ -163,10 +171,10 @@ def _report_so_far(out: Path, request: Mapping[str, Any]) -> dict[str, Any]:
     return report
 
 
-def _recorded(reconstruction: Reconstruction) -> dict[str, Any]:
-    """The options as the report keeps them: files by their paths from the root, wherever the scan is called again."""
+def _request(source: Path, configs: Mapping[str, Any], reconstruction: Reconstruction) -> dict[str, Any]:
+    """The request as the report keeps it: files by their paths from the root, wherever the scan is called again."""
     files = {name: str(Path(file).resolve()) for name in FILES if (file := reconstruction.get(name)) is not None}
-    return {**reconstruction, **files}
+    return {"source": str(source.resolve()), "frames": None, **configs, **reconstruction, **files}
 
 
 def _forget_if_empty(out: Path) -> None:
@@ -181,22 +189,19 @@ def _forget_if_empty(out: Path) -> None:
 def _stages(
     source: Path,
     out: Path,
-    settings: Settings,
-    refinement: Refinement,
     reconstruction: Reconstruction,
-    pieces: dict[str, Any],  # for `train`
-    method: str | Method,  # of the mesh
+    train_scene: Callable[..., Mapping[str, Any]],  # (scene, run)
+    extract: Callable[..., Mapping[str, Any]],  # (run, mesh)
+    refine_run: Callable[..., Mapping[str, Any]],  # (run, refined run)
 ) -> list[Stage]:
     scene = source if is_data_set(source) else out / "scene"
     run, refined, coarse, textured = out / "run", out / "refined", out / "run/mesh.ply", out / "mesh.glb"
     sfm = [] if scene == source else [Stage("sfm", scene.exists, lambda: _reconstruct(source, scene, reconstruction))]
     return [
         *sfm,
-        Stage("train", lambda: is_finished(run), lambda: train(scene, run, settings, resume=run.exists(), **pieces)),
-        Stage("mesh", coarse.exists, lambda: mesh(run, coarse, method=method)),
-        Stage(
-            "refine", lambda: is_finished(refined), lambda: refine(run, refined, refinement, resume=refined.exists())
-        ),
+        Stage("train", lambda: is_finished(run), lambda: train_scene(scene, run, resume=run.exists())),
+        Stage("mesh", coarse.exists, lambda: extract(run, coarse)),
+        Stage("refine", lambda: is_finished(refined), lambda: refine_run(run, refined, resume=refined.exists())),
         Stage("texture", textured.exists, lambda: texture(refined, refined / "mesh.ply", textured)),
     ]
 

@@ -6,7 +6,7 @@ The viewer is `gsjax/sharing/templates/share.js`. It draws by Spark and three.js
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,12 @@ from gsjax.io.packing import MOST_DEGREE
 from gsjax.io.spz import spz_bytes
 from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing.export import glb_bytes
+from gsjax.pipeline.convert import up_to_degree
 from gsjax.report.page import write_page
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result
 from gsjax.runs.viewpoints import evenly_spread, mean_up, opaque_middle
-from gsjax.scene.cameras import Camera, viewmat_center
+from gsjax.scene.cameras import viewmat_center
 
 LIBRARIES = Path(sharing.__file__).parent / "vendor" / "libraries.min.js.gz"
 MOST_BOOKMARKS = 12
@@ -58,28 +59,19 @@ def share(
         InputError: A file cannot be read or written, or an option is out of range.
     """
     source, out = Path(source), Path(out)
-    if out.suffix.lower() not in (".html", ".htm"):
-        raise InputError(f"out={out}: a page ends in .html")
-    if max_gaussians is not None and max_gaussians < 1:
-        raise InputError(f"max_gaussians={max_gaussians} is not 1 or more")
-    if sh_degree is not None and not 0 <= sh_degree <= MOST_DEGREE:
-        raise InputError(f"sh_degree={sh_degree} is not between 0 and {MOST_DEGREE}")
+    _check(out, max_gaussians, sh_degree)
     require_apart(out, source, mesh)
     sweep_beside(out)
-    mesh_file = _mesh_of(source) if mesh is None else Path(mesh)
-    glb = b"" if mesh_file is None else glb_bytes(mesh_file)
+    glb = _mesh_bytes(source, mesh)
     result = open_result(source)
     if not result.gaussians.num_gaussians:
         raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
     remaining = _most_visible(result.gaussians, max_gaussians)
-    bands = ((MOST_DEGREE if sh_degree is None else sh_degree) + 1) ** 2 - 1
-    splats, clipped = spz_bytes(replace(remaining, sh_rest=remaining.sh_rest[:, :bands]), out)
-    bookmarks = [
-        (result.names[index], result.cameras[index]) for index in evenly_spread(len(result.cameras), MOST_BOOKMARKS)
-    ]
+    splats, clipped = spz_bytes(up_to_degree(remaining, MOST_DEGREE if sh_degree is None else sh_degree), out)
+    bookmarks = evenly_spread(len(result.cameras), MOST_BOOKMARKS)
     parts = {"splats": splats, "mesh": glb, "libraries": LIBRARIES.read_bytes()}
     encoded = {name: b64encode(content).decode() for name, content in parts.items()}
-    write_page(
+    page = write_page(
         out,
         "share.html",
         package="gsjax.sharing",
@@ -87,17 +79,25 @@ def share(
         view={**_view(result, bookmarks), "has_mesh": bool(glb)},
         **encoded,
     )
-    page_bytes, splat_bytes, mesh_bytes = out.stat().st_size, len(encoded["splats"]), len(encoded["mesh"])
+    sizes = {name: len(encoded[name]) for name in ("splats", "mesh")}
     return {
         "gaussians": remaining.num_gaussians,
         "left_out": result.gaussians.num_gaussians - remaining.num_gaussians,
         "bookmarks": len(bookmarks),
         "clipped": clipped,
-        "splats": splat_bytes,
-        "mesh": mesh_bytes,
-        "viewer": page_bytes - splat_bytes - mesh_bytes,
-        "bytes": page_bytes,
+        **sizes,
+        "viewer": page.stat().st_size - sum(sizes.values()),
+        "bytes": page.stat().st_size,
     }
+
+
+def _check(out: Path, max_gaussians: int | None, sh_degree: int | None) -> None:
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"out={out}: a page ends in .html")
+    if max_gaussians is not None and max_gaussians < 1:
+        raise InputError(f"max_gaussians={max_gaussians} is not 1 or more")
+    if sh_degree is not None and not 0 <= sh_degree <= MOST_DEGREE:
+        raise InputError(f"sh_degree={sh_degree} is not between 0 and {MOST_DEGREE}")
 
 
 def _most_visible(gaussians: Gaussians, most: int | None) -> Gaussians:
@@ -109,32 +109,35 @@ def _most_visible(gaussians: Gaussians, most: int | None) -> Gaussians:
     return take(gaussians, np.sort(np.argsort(-cover, kind="stable")[:most]))
 
 
-def _mesh_of(source: Path) -> Path | None:
-    """The mesh that a run folder holds, the textured one where there are two."""
-    files = [source / name for name in ("mesh.glb", "mesh.ply") if source.is_dir() and (source / name).is_file()]
-    return files[0] if files else None
+def _mesh_bytes(source: Path, mesh: str | Path | None) -> bytes:
+    """The mesh as GLB: the given one, else that of a run folder, the textured one where there are two; else empty."""
+    own = [source / name for name in ("mesh.glb", "mesh.ply") if source.is_dir() and (source / name).is_file()]
+    files = own if mesh is None else [mesh]
+    return glb_bytes(files[0]) if files else b""
 
 
-def _view(result: Result, bookmarks: Sequence[tuple[str, Camera]]) -> dict[str, Any]:
+def _view(result: Result, bookmarks: Sequence[int]) -> dict[str, Any]:
     """What `share.js` reads, in JSON's own types and local coordinates; the page begins at the first bookmark."""
-    viewmats = np.stack([np.asarray(camera.viewmat, np.float64) for _, camera in bookmarks])
+
+    def bookmark(index: int) -> dict[str, Any]:
+        camera = result.cameras[index]
+        return {
+            "name": result.names[index],
+            "viewmat": np.asarray(camera.viewmat, np.float64).T.ravel(),  # by columns, as three.js has it
+            "slopes": [camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1]],
+        }
+
     middle = opaque_middle(result.gaussians)
+    first = viewmat_center(np.asarray(result.cameras[bookmarks[0]].viewmat, np.float64))
     return json_files.plain(
         {
             "up": mean_up(result.cameras),
             "middle": middle,
-            "scale": float(np.linalg.norm(viewmat_center(viewmats[0]) - middle)) or 1.0,
+            "scale": float(np.linalg.norm(first - middle)) or 1.0,
             "background": _hex(np.asarray(result.background)),
             "is_mip": result.gaussians.pixel_filter == "mip",
             "similarity": asdict(result.similarity),
-            "bookmarks": [
-                {
-                    "name": name,
-                    "viewmat": viewmat.T.ravel(),  # by columns, as three.js has it
-                    "slopes": [camera.width / 2 / camera.K[0, 0], camera.height / 2 / camera.K[1, 1]],
-                }
-                for viewmat, (name, camera) in zip(viewmats, bookmarks, strict=True)
-            ],
+            "bookmarks": list(map(bookmark, bookmarks)),
         }
     )
 

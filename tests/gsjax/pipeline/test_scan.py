@@ -87,7 +87,8 @@ def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp
         ("texture", "scan/refined", "scan/refined/mesh.ply", "scan/mesh.glb"),
     ]
     assert calls[0][-1] == {"frames": 30} and calls[2][-1] == {"method": max}
-    assert calls[1][-1] == {"terms": {"flat": len}, "densification": None, "effects": {}, "resume": False}
+    pieces = {"terms": {"flat": len}, "densification": None, "effects": {}}
+    assert calls[1][-1] == {"settings": Settings(), **pieces, "resume": False}
     assert (report["asked"]["handed_in"]["terms"], report["asked"]["method"]) == (["flat"], "max")
     assert json_files.read(out / "report.json") == json_files.plain(report)
     assert (out / "report.html").exists()
@@ -113,7 +114,7 @@ def test_a_scan_goes_on_where_it_stopped_and_then_has_nothing_to_do(stages, phot
     calls.clear()
     report = scanned(photos, tmp_path / "scan")
     assert [call[0] for call in calls] == ["refine", "texture"]
-    assert calls[0][-1] == {"resume": True}
+    assert calls[0][-1] == {"settings": Refinement(), "resume": True}
     assert list(report["stages"]) == ["sfm", "train", "mesh", "refine", "texture"], "what was done before is told too"
     calls.clear()
     scanned(photos, tmp_path / "scan")
