@@ -222,6 +222,7 @@ def _settings(
     started = Path(out) / "config.json"
     if resume and started.exists():
         stored = runs.read_settings(out)
+        config.parse(Settings, stored, where=str(started))
         has_maps = stored.get("supervision", {}).get("normals") is not None
         return override_settings(
             config.merge(stored, table(preset, with_maps=has_maps)) if preset else stored, **options

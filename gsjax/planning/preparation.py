@@ -11,7 +11,7 @@ from jax import Array
 from jax.sharding import Mesh
 from tqdm import tqdm
 
-from gsjax import runs
+from gsjax import config, runs
 from gsjax.effects.simulation import Effects
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
@@ -88,6 +88,7 @@ def plan_run(
     resumed = Run.open(out) if resume and is_first() and runs.can_resume(out) else None
     pieces = pieces_record(terms, densification, effects)
     if resumed:
+        config.parse(Settings, resumed.settings, where=str(out / "config.json"))
         runs.require_scene(out, scene)
         require_pieces(resumed, pieces)
     mesh = device_mesh(devices, settings.schedule.views_per_step)

@@ -87,7 +87,8 @@ def can_resume(run: str | Path) -> bool:
     """
     run = Path(run)
     if is_run(run):
-        refuse_moved(Settings, json_files.read(run / "config.json", {}), where=f"{run}: of an earlier version")
+        file = run / "config.json"
+        refuse_moved(Settings, json_files.read(file, {}), where=f"{file}: of an earlier version")
         with lock_folder(run):
             return True
     if not run.is_dir():

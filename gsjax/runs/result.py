@@ -100,39 +100,48 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
     source = Path(source)
     gaussians = load_gaussians(source)
     if source.is_dir():
-        run = Run(source)
-        gaussians = run.similarity.gaussians_to_local(gaussians)
-        settings, learned, records = run.settings, run.photo_effects.background, run.views
-        check(source / "config.json", settings, {"model": {"background": str, "depth_mode": str}})
-        return Result(
-            source,
-            gaussians,
-            cameras=tuple(recorded_camera(record, run.similarity) for record in records),
-            names=tuple(record["name"] for record in records),
-            held_out=tuple(bool(record["held_out"]) for record in records),
-            valid=tuple(partial(_read_mask, source, record) for record in records),
-            background=BACKGROUND_COLORS[settings["model"]["background"]] if learned is None else learned,
-            depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["model"]["depth_mode"],
-            similarity=run.similarity,
-            place=run.place,
-        )
-    if scene is None:
-        if not gaussians.num_gaussians:
-            raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
-        similarity = similarities.of_points(np.asarray(gaussians.means))
-        gaussians = similarity.gaussians_to_local(gaussians)
-        cameras = viewpoints.cameras_around(gaussians)
-        return Result(
-            source,
-            gaussians,
-            cameras,
-            names=tuple(f"around_{index:02d}" for index in range(len(cameras))),
-            held_out=(False,) * len(cameras),
-            valid=(lambda: None,) * len(cameras),
-            background=BACKGROUND_COLORS["black"],
-            similarity=similarity,
-            place=stated_place(source),
-        )
+        return _result_of_run(source, gaussians)
+    return _seen_from_around(source, gaussians) if scene is None else _seen_from_scene(source, gaussians, scene)
+
+
+def _result_of_run(source: Path, gaussians: Gaussians) -> Result:
+    run = Run(source)
+    settings, learned, records = run.settings, run.photo_effects.background, run.views
+    check(source / "config.json", settings, {"model": {"background": str, "depth_mode": str}})
+    return Result(
+        source,
+        run.similarity.gaussians_to_local(gaussians),
+        cameras=tuple(recorded_camera(record, run.similarity) for record in records),
+        names=tuple(record["name"] for record in records),
+        held_out=tuple(bool(record["held_out"]) for record in records),
+        valid=tuple(partial(_read_mask, source, record) for record in records),
+        background=BACKGROUND_COLORS[settings["model"]["background"]] if learned is None else learned,
+        depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["model"]["depth_mode"],
+        similarity=run.similarity,
+        place=run.place,
+    )
+
+
+def _seen_from_around(source: Path, gaussians: Gaussians) -> Result:
+    if not gaussians.num_gaussians:
+        raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
+    similarity = similarities.of_points(np.asarray(gaussians.means))
+    gaussians = similarity.gaussians_to_local(gaussians)
+    cameras = viewpoints.cameras_around(gaussians)
+    return Result(
+        source,
+        gaussians,
+        cameras,
+        names=tuple(f"around_{index:02d}" for index in range(len(cameras))),
+        held_out=(False,) * len(cameras),
+        valid=(lambda: None,) * len(cameras),
+        background=BACKGROUND_COLORS["black"],
+        similarity=similarity,
+        place=stated_place(source),
+    )
+
+
+def _seen_from_scene(source: Path, gaussians: Gaussians, scene: str | Path) -> Result:
     loaded = load_scene(scene)
     frames = loaded.frames
     return Result(

@@ -11,7 +11,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
 from gsjax.meshing.export import SUFFIXES, is_mesh_file, read_mesh
 from gsjax.rendering import DepthReading
-from gsjax.runs.result import BACKGROUND_COLORS, frame_camera, open_result, scene_of_run
+from gsjax.runs.result import BACKGROUND_COLORS, Result, frame_camera, open_result, scene_of_run
 from gsjax.runs.viewpoints import mean_up, opaque_middle
 from gsjax.scene import Frame, Scene
 from gsjax.scene.cameras import Camera, look_at, viewmat_center
@@ -75,14 +75,17 @@ def open_viewed_scene(
         depth_mode=result.depth_mode,
         similarity=result.similarity,
     )
-    if not is_folder:
-        return viewed
-    own_mesh = source / "mesh.ply"
-    if mesh is None and own_mesh.exists():
+    return _with_parts_of_run(viewed, source, result, notify) if is_folder else viewed
+
+
+def _with_parts_of_run(viewed: ViewedScene, run: Path, result: Result, notify: Callable[[str], None]) -> ViewedScene:
+    """With the cameras of a run, its photos, and its mesh where there is no other."""
+    own_mesh = run / "mesh.ply"
+    if viewed.mesh is None and own_mesh.exists():
         read_mesh(own_mesh)
         viewed = replace(viewed, mesh=own_mesh)
     try:
-        photos = {frame.name: frame for frame in scene_of_run(source).frames}
+        photos = {frame.name: frame for frame in scene_of_run(run).frames}
     except InputError as error:
         notify(f"no photos: {error}")
         photos = {}

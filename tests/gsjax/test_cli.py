@@ -118,13 +118,16 @@ def test_a_list_of_held_out_photos_is_read_again_from_wherever_the_run_is_scored
     assert settings.photos.hold_out == str(tmp_path / "list.txt")
 
 
-def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_path):
+def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_path, capsys):
     started = Settings(seed=5, schedule=Schedule(phases=(Phase("vanilla", 7),)))
     for stored, options in ((started, []), (preset("fast", {"seed": 7}), ["--preset", "fast"])):
         (tmp_path / "config.json").write_text(json.dumps(config.to_dict(stored)))
         assert train_settings(library, "--out", str(tmp_path), "--resume", *options) == (stored, {"resume": True})
     settings, _ = train_settings(library, "--out", str(tmp_path / "new"), "--resume")
     assert settings == config.parse(Settings, PRESETS["fast"])
+    (tmp_path / "config.json").write_text('{"model": {"cloud": 3}}')  # of an earlier version
+    assert cli.main(["train", "scene", "--out", str(tmp_path), "--resume"]) == 2
+    assert f"error: {tmp_path}/config.json: unknown key 'model.cloud'; the nearest" in capsys.readouterr().err
 
 
 CALLS = {

@@ -49,7 +49,7 @@ def test_a_run_of_an_earlier_version_is_read_and_not_resumed(run):
         "schedule": {},
         "effects": {"names": "none"},
     }
-    with pytest.raises(InputError, match=r"run: of an earlier version: hold_out is photos\.hold_out now$"):
+    with pytest.raises(InputError, match=r"run/config\.json: of an earlier version: hold_out is photos\.hold_out now$"):
         runs.can_resume(run)
 
 
