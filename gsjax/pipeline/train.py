@@ -21,7 +21,7 @@ from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.metrics.photos import score_images
 from gsjax.pipeline.training_journal import TrainingJournal
-from gsjax.planning.preparation import LoadedScene, RunRequest, StepInputs, load, plan_run, prepare, report
+from gsjax.planning.preparation import RunRequest, StepInputs, plan_run, prepare, report
 from gsjax.planning.start import first_state
 from gsjax.planning.warm_start import copy_normals, shared_steps
 from gsjax.rendering.engine import computes_on_cpu
@@ -39,7 +39,6 @@ from gsjax.training.data_parallel import Devices
 from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.optimizers import Optimizer
-from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
 from gsjax.training.terms import Term
 
@@ -96,20 +95,18 @@ def train(
     with own_folder(out) as folder:
         pieces = terms, densification, effects
         request = plan_run(scene, folder, settings, *pieces, resume=resume, warm_start=warm_start, devices=devices)
-        loaded = load(request)
-        prepared = prepare(request, loaded)
-        planned = replace(prepared.plan.with_effects(prepared.effects.names), downscale=loaded.downscale)
-        steps_in_common = request.warm_start and shared_steps(request.warm_start, planned)
-        run = _open_run(request, loaded, planned)
+        prepared = prepare(request)
+        steps_in_common = request.warm_start and shared_steps(request.warm_start, prepared.plan)
+        run = _open_run(request, prepared)
         with runs.claim_run(run):
             runs.update_manifest(run, **prepared.notes)
             if prepared.stereo and is_first():
                 write_stereo_maps(run, prepared.stereo)
-            state, seconds = _fit(run, request, prepared, planned, steps_in_common, observe)
-            return _write(run, prepared, planned, state, seconds)
+            state, seconds = _fit(run, request, prepared, steps_in_common, observe)
+            return _write(run, prepared, state, seconds)
 
 
-def _open_run(request: RunRequest, loaded: LoadedScene, planned: Plan) -> Path:
+def _open_run(request: RunRequest, prepared: StepInputs) -> Path:
     settings = config.to_dict(request.settings)
     if request.resumed:
         return runs.reopen(request.out, settings, scene=request.scene)
@@ -118,10 +115,10 @@ def _open_run(request: RunRequest, loaded: LoadedScene, planned: Plan) -> Path:
         settings,
         scene=request.scene,
         seed=request.settings.seed,
-        similarity=loaded.scene.similarity,
-        place=loaded.scene.place,
-        plan=planned.record(),
-        split=loaded.split,
+        similarity=prepared.scene.similarity,
+        place=prepared.scene.place,
+        plan=prepared.plan.record(),
+        split=prepared.split,
     )
 
 
@@ -129,14 +126,13 @@ def _fit(
     run: Path,
     request: RunRequest,
     prepared: StepInputs,
-    planned: Plan,
     steps_in_common: int | None,  # with the run of a warm start
     observe: Callable[[Progress], None] | None,
 ) -> tuple[TrainState, float]:
     """Take the steps of the plan from the newest checkpoint on; return the state, on one device, and the seconds."""
-    effects, mesh, rates = prepared.effects, request.mesh, planned.rates
+    planned, effects, mesh = prepared.plan, prepared.effects, request.mesh
     optimizer = optimizers.make_optimizer(
-        rates, prepared.extent, rates.decay_steps, views_per_step=planned.views_per_step
+        planned.rates, prepared.extent, planned.rates.decay_steps, views_per_step=planned.views_per_step
     )
     model = replace(request.settings.model, max_gaussians=planned.max_gaussians)
     initial = partial(first_state, prepared.start, model, planned.rule, optimizer, effects.effects, skies=effects.skies)
@@ -146,7 +142,7 @@ def _fit(
     state = _of_first(state, initial)
     whole = (lambda state: state) if mesh is None else jax.device_get
     with TrainingJournal(run, planned, prepared.scene, int(state.step), seconds, effects, whole) as journal:
-        work = _work(prepared, planned, optimizer, mesh, journal, observe)
+        work = _work(prepared, optimizer, mesh, journal, observe)
         if mesh is not None:  # Of several processes only the first knows the stored capacity.
             state, capacity = data_parallel.replicate(state, mesh), None
         state = whole(follow(work, state, capacity))
@@ -155,7 +151,6 @@ def _fit(
 
 def _work(
     prepared: StepInputs,
-    planned: Plan,
     optimizer: Optimizer,
     mesh: Mesh | None,
     journal: TrainingJournal,
@@ -175,7 +170,7 @@ def _work(
         return [from_first(each) for each in prepared.normals(state.gaussians, moved)]
 
     return Work(
-        planned,
+        prepared.plan,
         frames,
         prepared.extent,
         optimizer,
@@ -200,7 +195,7 @@ def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainS
     return from_first(state)
 
 
-def _write(run: Path, prepared: StepInputs, planned: Plan, state: TrainState, seconds: float) -> dict[str, Any]:
+def _write(run: Path, prepared: StepInputs, state: TrainState, seconds: float) -> dict[str, Any]:
     """Write Gaussians, cameras and effects, score the held-out views, and report."""
     effects = prepared.effects
     photo_effects = effects.photo_effects(state.effects)
@@ -218,10 +213,10 @@ def _write(run: Path, prepared: StepInputs, planned: Plan, state: TrainState, se
     scores = score_images(
         state.gaussians,
         scene.held_out_frames,
-        planned.background,
+        prepared.plan.background,
         photo_effects=photo_effects.with_near_appearances(scene.frames),
         align=align if photo_effects.moves else None,
-        depth_mode=planned.depth_mode,
+        depth_mode=prepared.plan.depth_mode,
         observe=picture_keeper(run),
     )
     summary = {

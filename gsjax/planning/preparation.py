@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from jax import Array
 from jax.sharding import Mesh
 from tqdm import tqdm
@@ -103,36 +104,14 @@ def plan_run(
 
 
 @dataclass(frozen=True)
-class LoadedScene:
-    """The data set at the size of the run, its photos unread."""
-
-    scene: Scene
-    downscale: float  # photos are so many times smaller than they were taken
-    line: str  # how many photos, at what size
-    split: Split
-
-
-def load(request: RunRequest) -> LoadedScene:
-    """Read the data set, and try the run's own terms on the sizes of its photos."""
-    downscale = request.resumed and request.resumed.plan["downscale"]
-    scene, downscale, line = at_size(
-        request.scene, request.settings.photos, request.plan.steps, downscale, run=request.origin
-    )
-    split = (request.origin and request.origin.split) or split_of(scene.frames)
-    if request.origin and request.has_checkpoint:
-        require_photos_of_effects(scene, split, request.origin.manifest, run=request.origin.folder)
-    check_terms(request.plan, scene.train_frames)
-    return LoadedScene(scene, downscale, line, split)
-
-
-@dataclass(frozen=True)
 class StepInputs:
     """The photos, maps and effects that the steps read."""
 
     scene: Scene  # its photos in memory or on the disk, without the blurred ones
+    split: Split  # of all photos of the data set
     start: Scene  # from whose points the Gaussians start
     extent: float  # of the training cameras, scene units
-    plan: Plan  # for these photos and this machine, without effects
+    plan: Plan  # for these photos, effects and this machine
     keep: Keep  # where photos and maps are
     normals: NormalSource
     depths: Depths | None  # measured, or of stereo
@@ -141,12 +120,13 @@ class StepInputs:
     notes: dict[str, Any]  # entries of the manifest
 
 
-def prepare(request: RunRequest, loaded: LoadedScene) -> StepInputs:
-    """Read photos and maps, as far as memory allows, and choose the effects."""
+def prepare(request: RunRequest) -> StepInputs:
+    """Read the data set at the size of the run, its photos and maps as far as memory allows; choose the effects."""
     settings, maps = request.settings, request.settings.supervision
-    memory, sparse = _size(request, loaded.scene)
-    scene = read_photos(loaded.scene, memory.keep)
-    report(*_opening_lines(memory.plan, settings.schedule.dropout, loaded.line), sparse and sparse.line(memory.plan))
+    loaded, split, downscale, photos_line = _load(request)
+    memory, sparse = _size(request, loaded)
+    scene = read_photos(loaded, memory.keep)
+    report(*_opening_lines(memory.plan, settings.schedule.dropout, photos_line), sparse and sparse.line(memory.plan))
     inspected = inspect_photos(settings.effects.names, scene)
     scene = inspected.scene
     extent = training_extent(scene)
@@ -155,33 +135,57 @@ def prepare(request: RunRequest, loaded: LoadedScene) -> StepInputs:
     stereo = stereo_supervision(scene, maps, own_maps, vanilla=settings.schedule.vanilla)
     depths = measured.depths if measured else stereo.depths(scene.train_frames)
     planned = memory.plan if depths else memory.plan.without("measured")
-    normals_line = stereo.line if stereo.maps else _own_normals_line(planned)
-    report(measured and f"depth {measured.line}", stereo.fault, normals_line)
-    normals = NormalSource(
-        request.out,
-        planned.normals,
-        maps.normal_axes,
-        scene.train_frames,
-        settings.model.depth_mode,
-        maps.normal_gate,
-        stereo=stereo.normals,
-        keep=memory.keep,
-        notify=partial(note_normals, request.out),
-    )
+    stereo_line = stereo.line if stereo.maps else None
+    report(measured and f"depth {measured.line}", stereo.fault, stereo_line or _own_normals_line(planned))
+    normals = _normal_source(request, planned, scene, stereo.normals, memory.keep)
     if not request.has_checkpoint:
         start, lines = with_stereo_points(start, planned, lambda: stereo.swept or depths_of_photos(scene))
         report(*lines)
-    effects = _choose_effects(request, planned, inspected, start, extent, loaded.downscale).with_own(request.effects)
+    effects = _choose_effects(request, planned, inspected, start, extent, downscale).with_own(request.effects)
     notes = {
-        "photos": loaded.line,
+        "photos": photos_line,
         "memory": "; ".join(memory.lines),
         ENTRY: sparse and asdict(sparse),
-        "stereo": stereo.line if stereo.maps else None,
+        "stereo": stereo_line,
         "effects": effects.evidence,
         **request.pieces,
     }
     notes = {name: note for name, note in notes.items() if note}
-    return StepInputs(scene, start, extent, planned, memory.keep, normals, depths, stereo.maps, effects, notes)
+    planned = replace(planned.with_effects(effects.names), downscale=downscale)
+    return StepInputs(scene, split, start, extent, planned, memory.keep, normals, depths, stereo.maps, effects, notes)
+
+
+def _normal_source(
+    request: RunRequest, planned: Plan, scene: Scene, stereo: Mapping[str, np.ndarray], keep: Keep
+) -> NormalSource:
+    maps = request.settings.supervision
+    return NormalSource(
+        request.out,
+        planned.normals,
+        maps.normal_axes,
+        scene.train_frames,
+        request.settings.model.depth_mode,
+        maps.normal_gate,
+        stereo=stereo,
+        keep=keep,
+        notify=partial(note_normals, request.out),
+    )
+
+
+def _load(request: RunRequest) -> tuple[Scene, Split, float, str]:
+    """The data set at the size of the run, its photos unread; its split, how many times smaller, and the line of it.
+
+    The run's own terms are tried on the sizes of its photos.
+    """
+    downscale = request.resumed and request.resumed.plan["downscale"]
+    scene, downscale, line = at_size(
+        request.scene, request.settings.photos, request.plan.steps, downscale, run=request.origin
+    )
+    split = (request.origin and request.origin.split) or split_of(scene.frames)
+    if request.origin and request.has_checkpoint:
+        require_photos_of_effects(scene, split, request.origin.manifest, run=request.origin.folder)
+    check_terms(request.plan, scene.train_frames)
+    return scene, split, downscale, line
 
 
 def _size(request: RunRequest, scene: Scene) -> tuple[MemoryFit, Decision | None]:
