@@ -13,7 +13,6 @@ import os
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, TypeVar
 
 from gsjax.errors import InputError
@@ -25,7 +24,7 @@ MOST_INTEGER = 2**53  # As floats hold them; where less is sensible, the datacla
 def parse(cls: type[T], data: Mapping[str, Any], *, where: str = "config") -> T:
     """An instance of a (nested) dataclass from plain data; absent keys take the dataclass's defaults.
 
-    Fields may be dataclasses, `int`, `float` (an integer will do), `bool`, `str`, `Path`, `None`, unions of them,
+    Fields may be dataclasses, `int`, `float` (an integer will do), `bool`, `str`, `None`, unions of them,
     `Literal`, `tuple[X, ...]`, `tuple[X, Y]` and `dict[str, X]`. Ranges are checked by the dataclasses themselves:
     a `ValueError` of a `__post_init__` becomes an `InputError` that says where.
 
@@ -190,8 +189,6 @@ class _Parser:
             return float(value)
         if hint is float and isinstance(value, float) and not math.isfinite(value):
             raise self.mismatch(at, value, "a finite number")
-        if hint is Path and isinstance(value, str):
-            return Path(value)
         if hint is str and isinstance(value, os.PathLike):
             return os.fspath(value)
         if hint is types.NoneType and value is None:
@@ -292,7 +289,7 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
+    return value
 
 
 def _value(text: str) -> Any:

@@ -16,9 +16,14 @@ MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
 
 
 def check_lowest(record: Any, **lowest: float) -> None:
-    """Raise ValueError for the first field that is under its lowest value, not finite, or a count that is too high."""
+    """Raise ValueError for the first field that is under its lowest value, not finite, or a count that is too high.
+
+    A field that is None is not checked.
+    """
     for name, low in lowest.items():
         value = getattr(record, name)
+        if value is None:
+            continue
         if value < low:
             raise ValueError(f"{name}={value} is below {low}")
         if not value < math.inf:
@@ -102,9 +107,7 @@ class Rates:
 
     def __post_init__(self):
         declare_types(self)
-        check_lowest(self, means=MEANS_FINAL, sh_rest=0, scales=0, quats=0)
-        if self.decay_steps is not None:
-            check_lowest(self, decay_steps=1)
+        check_lowest(self, means=MEANS_FINAL, sh_rest=0, scales=0, quats=0, decay_steps=1)
         if not 0 < self.final_share <= 1:
             raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
 
@@ -200,11 +203,9 @@ class Photos:
 
     def __post_init__(self):
         declare_types(self)
-        check_lowest(self, longest_side=1)
+        check_lowest(self, longest_side=1, cpu_pixels=1)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")
-        if self.cpu_pixels is not None:
-            check_lowest(self, cpu_pixels=1)
 
 
 @dataclass(frozen=True)

@@ -129,12 +129,10 @@ def mesh(
 def _open(source: Path, scene: str | Path | None, *, with_photos: bool) -> tuple[Result, Scene | None]:
     """Return the result and its data set; None, and one line, where a run's photos have gone."""
     result = open_result(source, scene=scene)
-    if not with_photos:
+    if not with_photos or (scene is None and not source.is_dir()):
         return result, None
-    if not source.is_dir():
-        return result, None if scene is None else load_scene(scene)
     if scene is not None:
-        return result, scene_of_run(source, scene=scene)
+        return result, scene_of_run(source, scene=scene) if source.is_dir() else load_scene(scene)
     try:
         return result, scene_of_run(source)
     except InputError as error:

@@ -1,7 +1,7 @@
 """Normal maps for a data set's photos, from a network that the user has as an ONNX file."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,7 @@ def normals(
     is_depth = isinstance(record, DepthNetwork)
     estimator = DepthEstimator(record, weights) if is_depth else NormalEstimator(record, weights)
     loaded, downscale = _load(scene, images, downscale)
-    estimate = DepthNormals(estimator, loaded) if isinstance(estimator, DepthEstimator) else _unfitted(estimator)
+    estimate = DepthNormals(estimator, loaded) if is_depth else lambda frame: (estimator(frame), None)
     folder = Path(scene) / f"{normal_folders.PREFIX}{name}" if out is None else Path(out)
     photos = {"downscale": downscale, "images": images}
     made_by = {"network": name, "sha256": estimator.graph.sha256, "record": config.to_dict(record), **photos}
@@ -106,10 +106,6 @@ def read_network(network: str | Path) -> tuple[str, NormalNetwork | DepthNetwork
     """
     networks: dict[str, NormalNetwork | DepthNetwork] = {**NETWORKS, **DEPTH_NETWORKS}
     return read_record(network, networks, lambda data: DepthNetwork if "kind" in data else NormalNetwork)
-
-
-def _unfitted(estimator: NormalEstimator) -> Callable[[Frame], tuple[np.ndarray, None]]:
-    return lambda frame: (estimator(frame), None)
 
 
 def _missing(folder: Path, manifest: Mapping[str, Any], frames: tuple[Frame, ...]) -> list[Frame]:

@@ -136,7 +136,9 @@ def prepare(request: RunRequest) -> StepInputs:
     depths = measured.depths if measured else stereo.depths(scene.train_frames)
     planned = memory.plan if depths else memory.plan.without("measured")
     stereo_line = stereo.line if stereo.maps else None
-    report(measured and f"depth {measured.line}", stereo.fault, stereo_line or _own_normals_line(planned))
+    report(measured and f"depth {measured.line}", stereo.fault, stereo_line)
+    if stereo_line is None and planned.normals is None and "normals" in planned.needs:
+        report("no maps of normals (supervision.normals): the rendered depth replaces a network")
     normals = _normal_source(request, planned, scene, stereo.normals, memory.keep)
     if not request.has_checkpoint:
         start, lines = with_stereo_points(start, planned, lambda: stereo.swept or depths_of_photos(scene))
@@ -216,12 +218,6 @@ def read_photos(scene: Scene, keep: Keep) -> Scene:
     if not any(mask is None or mask.any() for mask in masks):
         raise InputError(f"{scene.root}: its masks leave no pixel of any photo; what is not 0 in a mask is used")
     return scene
-
-
-def _own_normals_line(planned: Plan) -> str | None:
-    if planned.normals is not None or "normals" not in planned.needs:
-        return None
-    return "no maps of normals (supervision.normals): the rendered depth replaces a network"
 
 
 def _opening_lines(planned: Plan, dropout: float, photos_line: str) -> list[str]:

@@ -195,7 +195,6 @@ def steps_in_common(one: Mapping[str, Any], other: Mapping[str, Any]) -> int:
 def plan(
     settings: Settings,
     terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
-    effects: Iterable[str] = (),
     densification: DensificationRule | None = None,
 ) -> Plan:
     """The plan of a run.
@@ -209,7 +208,6 @@ def plan(
         settings: Of the user.
         terms: The run's own loss terms by name, in addition to the library's or in their place. What a bare function
             needs is found out.
-        effects: Names of those that are simulated.
         densification: The run's own rule; None: the one that `density.rule` names.
 
     Raises:
@@ -235,7 +233,7 @@ def plan(
         logging=_in_steps(settings.logging, views, "metrics_every", "evaluate_every", "checkpoint_every"),
         stereo_points=0 if schedule.vanilla else settings.model.stereo_points,
         rule=rule,
-    ).with_effects(effects)
+    )
 
 
 def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:

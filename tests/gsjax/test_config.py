@@ -1,5 +1,4 @@
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -30,7 +29,7 @@ class Settings:
     seed: int = 0
     downscale: int | None = None
     masked: bool = False
-    normals: Path | None = None
+    normals: str | None = None
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     loss: Loss = Loss()
     final: Loss | None = None
@@ -52,7 +51,7 @@ def test_defaults_and_nested_values():
     )
     assert parsed == Settings(
         seed=3,
-        normals=Path("maps"),
+        normals="maps",
         background=(1.0, 1.0, 0.5),
         loss=Loss(kind="l2"),
         phases=(Phase("vanilla", losses=(Loss(1.0),)), Phase("surface", 7)),

@@ -82,8 +82,8 @@ def test_every_preset_may_be_taken_in_larger_steps(preset):
 
 
 def test_masks_of_transients_delay_densification():
-    assert plan(SETTINGS, effects=["exposure"]).density == SETTINGS.density
-    assert plan(SETTINGS, effects=["transients"]).density.start > SETTINGS.density.start
+    assert plan(SETTINGS).with_effects(["exposure"]).density == SETTINGS.density
+    assert plan(SETTINGS).with_effects(["transients"]).density.start > SETTINGS.density.start
 
 
 def test_a_term_of_ones_own_stands_beside_the_others_or_in_the_place_of_one():
