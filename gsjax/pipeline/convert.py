@@ -58,9 +58,7 @@ def convert(
     is_kept = _are_wanted(gaussians, crop, min_opacity)
     if not is_kept.any() and len(is_kept):
         raise InputError(f"{source}: none of its {len(is_kept)} Gaussians is left by crop and min_opacity")
-    remaining = take(gaussians, is_kept)
-    if sh_degree is not None:
-        remaining = up_to_degree(remaining, sh_degree)
+    remaining = up_to_degree(take(gaussians, is_kept), 4 if sh_degree is None else sh_degree)
     place = stated_place(source / "gaussians.ply" if source.is_dir() else source)
     clipped = format_of(out).write(out, remaining, place)
     stored = stored_similarity(out)

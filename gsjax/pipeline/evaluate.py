@@ -110,13 +110,12 @@ def _surface_scores(run: Path, result: Result, scene: Scene, local_mesh: Mesh | 
         if truth.mesh is not None:
             true = read_mesh(truth.mesh)
             true = similarity.mesh_to_local(replace(true, vertices=scene.place.points_to_world(true.vertices)))
-        names = (*geometry.SCORES, *(f"mesh_{name}" for name in surface))
         score = partial(_score_mesh, frames=scene.held_out_frames, truth=truth, true_mesh=true)
         try:
             surface |= score(similarity.mesh_to_local(_own_mesh(run)) if local_mesh is None else local_mesh)
         except NoSurfaceError as fault:
             print(f"{run}: its mesh is not scored: {fault}", file=sys.stderr)
-            surface |= dict.fromkeys(names)
+            surface |= dict.fromkeys((*geometry.SCORES, *(f"mesh_{name}" for name in surface)))
         surface["distances"] = "point to point" if true is None else "point to surface"
         if true is not None:
             surface["floor"] = score(true)

@@ -105,18 +105,13 @@ def _rescale_run(folder: Path, factor: float, place: Place) -> None:
         stretched_gaussians = replace(gaussians, means=means, log_scales=log_scales)
         write_gaussians(new / "gaussians.ply", stretched_gaussians, place, cameras=viewmat_centers(viewmats))
         if (folder / POSES).exists():
-            json_files.write(new / POSES, _stretched_moves(json_files.read(folder / POSES), factor))
+            poses = json_files.read(folder / POSES)
+            for move in poses["photos"].values():
+                move["shift"] = [factor * side for side in move["shift"]]
+            json_files.write(new / POSES, poses)
         for name in MESHES:
             if (folder / name).exists():
                 _write_stretched_mesh(folder / name, new / name, factor, place)
-
-
-def _stretched_moves(poses: dict, factor: float) -> dict:
-    photos = poses["photos"].items()
-    return {
-        **poses,
-        "photos": {name: {**move, "shift": [factor * side for side in move["shift"]]} for name, move in photos},
-    }
 
 
 def _write_stretched_mesh(old: Path, new: Path, factor: float, place: Place) -> None:

@@ -105,10 +105,8 @@ def budgeted(
         raise InputError(
             f"a budget of {seconds:g} s is too short: even {FEWEST_STEPS} steps take {least} s here in all"
         )
-    return (
-        run_settings,
-        f"{name} in {run_settings.schedule.steps:,} steps, with up to {run_settings.model.max_gaussians:,} Gaussians",
-    )
+    gaussians = f"up to {run_settings.model.max_gaussians:,} Gaussians"
+    return run_settings, f"{name} in {run_settings.schedule.steps:,} steps, with {gaussians}"
 
 
 def measure(scene: Scene, planned: Plan, model: Model) -> tuple[float, float]:

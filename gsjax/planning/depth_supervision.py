@@ -1,6 +1,6 @@
 """What supervises depth: measured maps in the scene's own units, or multi-view stereo, which has normals as well."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Container, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,21 +43,23 @@ def measured_depth(scene: Scene, supervision: Supervision) -> MeasuredDepth | No
     maps = open_depth_maps(scene.root, supervision.depth, supervision.depth_unit, frames)
     factor, scale_note = _factor(scene, maps)
 
-    def depths(scale: int) -> Iterator[Readings]:
-        for frame in frames:
-            if frame.name in maps.read:
-                depth, trust = maps.at(frame, scale)
-                yield depth * np.float32(factor), trust
-            else:
-                yield _nothing(frame, scale)
+    def reading(frame: Frame, scale: int) -> Readings:
+        depth, trust = maps.at(frame, scale)
+        return depth * np.float32(factor), trust
 
     notes = "; ".join(note for note in (scale_note, maps.note) if note)
+    depths = _depths(frames, maps.read, reading)
     return MeasuredDepth(depths, f"of {len(maps.read)} of {len(frames)} photos, in {maps.unit}; {notes}")
 
 
-def _nothing(frame: Frame, scale: int) -> Readings:
-    size = frame.height // scale, frame.width // scale
-    return np.zeros(size, np.float32), np.zeros(size, np.uint8)
+def _depths(frames: Sequence[Frame], names: Container[str], reading: Callable[[Frame, int], Readings]) -> Depths:
+    """The depth of frames; nothing of those that are not named."""
+
+    def read(frame: Frame, scale: int) -> Readings:
+        size = frame.height // scale, frame.width // scale
+        return reading(frame, scale) if frame.name in names else (np.zeros(size, np.float32), np.zeros(size, np.uint8))
+
+    return lambda scale: (read(frame, scale) for frame in frames)
 
 
 def _factor(scene: Scene, maps: DepthMaps) -> tuple[float, str]:
@@ -122,13 +124,9 @@ class StereoSupervision(NamedTuple):
 
     def depths(self, frames: tuple[Frame, ...]) -> Depths | None:
         """The depth of frames; None where no photo has any."""
-        if not self.maps:
-            return None
-        return lambda scale: (self._reading(frame, scale) for frame in frames)
+        return _depths(frames, self.maps, self._reading) if self.maps else None
 
     def _reading(self, frame: Frame, scale: int) -> Readings:
-        if frame.name not in self.maps:
-            return _nothing(frame, scale)
         depth = self.maps[frame.name].depth_at_size(frame.width // scale, frame.height // scale)
         return depth, np.where(depth > 0, CERTAIN, 0).astype(np.uint8)
 

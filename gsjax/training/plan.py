@@ -277,7 +277,7 @@ def _weighed(
     phase: Phase, terms: Mapping[str, Term], supervision: Supervision, *, vanilla: bool
 ) -> tuple[LossTerm, ...]:
     """The terms of a phase, whose data the run has; of vanilla 3DGS those of the image alone."""
-    everywhere = weights_of_data("measured", supervision.weight_of_depth) if supervision.has_depth else {}
+    everywhere = weights_of_data("measured", supervision.weight_of_depth)
     where = f"schedule.phases.{phase.name}"
     try:
         weighed = weigh_terms({**everywhere, **phase.weights}, terms)

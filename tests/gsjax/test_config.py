@@ -29,7 +29,6 @@ class Settings:
     seed: int = 0
     downscale: int | None = None
     masked: bool = False
-    normals: str | None = None
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     loss: Loss = Loss()
     final: Loss | None = None
@@ -42,7 +41,6 @@ def test_defaults_and_nested_values():
         Settings,
         {
             "seed": 3,
-            "normals": "maps",
             "background": [1, 1, 0.5],
             "loss": {"kind": "l2"},
             "phases": [{"name": "vanilla", "losses": [{"weight": 1}]}, {"name": "surface", "steps": 7}],
@@ -51,7 +49,6 @@ def test_defaults_and_nested_values():
     )
     assert parsed == Settings(
         seed=3,
-        normals="maps",
         background=(1.0, 1.0, 0.5),
         loss=Loss(kind="l2"),
         phases=(Phase("vanilla", losses=(Loss(1.0),)), Phase("surface", 7)),

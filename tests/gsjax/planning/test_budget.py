@@ -13,7 +13,6 @@ from gsjax.gaussians import is_alive
 from gsjax.planning import budget
 from gsjax.presets import LENGTHS, PRESETS
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings
-from gsjax.training.plan import plan
 
 NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
 
@@ -137,7 +136,7 @@ def test_the_first_twenty_steps_of_each_phase_are_timed_and_the_compiling_ones_l
                 one.observe(None)
 
     monkeypatch.setattr(budget.loop, "follow", follow)
-    whole, compiling = budget.measure(wall(20, num_points=40), plan(SETTINGS), SETTINGS.model)
+    whole, compiling = budget.measure(wall(20, num_points=40), budget.plan(SETTINGS), SETTINGS.model)
     assert whole == pytest.approx(700 * 1 + 900 * 2 + 30 * 3) and compiling == pytest.approx(3 * 27)
     (fold,), (state,) = work, states
     phases = [(phase.begin, phase.end, phase.cull_below) for phase in fold.plan.phases]
