@@ -137,7 +137,7 @@ def prepare(request: RunRequest) -> StepInputs:
     planned = memory.plan if depths else memory.plan.without("measured")
     stereo_line = stereo.line if stereo.maps else None
     report(measured and f"depth {measured.line}", stereo.fault, stereo_line)
-    if stereo_line is None and planned.normals is None and "normals" in planned.needs:
+    if not stereo.maps and planned.normals is None and "normals" in planned.needs:
         report("no maps of normals (supervision.normals): the rendered depth replaces a network")
     normals = _normal_source(request, planned, scene, stereo.normals, memory.keep)
     if not request.has_checkpoint:
