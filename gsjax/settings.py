@@ -16,7 +16,7 @@ MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
 
 
 def check_lowest(record: Any, **lowest: float) -> None:
-    """Raise ValueError for a field that is below its lowest value, not finite, or a count that is too high; None passes."""
+    """Raise ValueError for a field below its lowest value, not finite, or a count that is too high; None passes."""
     for name, low in lowest.items():
         value = getattr(record, name)
         if value is None:
