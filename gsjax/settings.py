@@ -224,16 +224,6 @@ class Supervision:
         if self.depth is None and self.depth_unit is not None:
             raise ValueError(f"depth_unit={self.depth_unit} is the unit of no maps: depth names their folder")
 
-    @property
-    def has_depth(self) -> bool:
-        """Whether the rendered depth is compared with measured depth, or with stereo's where there is any."""
-        return self.depth is not None or self.stereo_weight > 0
-
-    @property
-    def weight_of_depth(self) -> float:
-        """The weight of the term `measured_depth`: of measured depth, or else of stereo's."""
-        return self.stereo_weight if self.depth is None else self.depth_weight
-
 
 @dataclass(frozen=True)
 class Model:

@@ -277,7 +277,9 @@ def _weighed(
     phase: Phase, terms: Mapping[str, Term], supervision: Supervision, *, vanilla: bool
 ) -> tuple[LossTerm, ...]:
     """The terms of a phase, whose data the run has; of vanilla 3DGS those of the image alone."""
-    everywhere = weights_of_data("measured", supervision.weight_of_depth)
+    is_measured = supervision.depth is not None
+    weight = supervision.depth_weight if is_measured else supervision.stereo_weight
+    everywhere = weights_of_data("measured", weight)
     where = f"schedule.phases.{phase.name}"
     try:
         weighed = weigh_terms({**everywhere, **phase.weights}, terms)
@@ -285,7 +287,7 @@ def _weighed(
         raise InputError(f"{where}.{error}") from error
     weighed = tuple(each for each in weighed if each.name in PLAIN or not vanilla)
     for each in weighed:
-        if not supervision.has_depth and "measured" in each.term.needs:
+        if not (is_measured or supervision.stereo_weight) and "measured" in each.term.needs:
             raise InputError(f"{where}.weights.{each.name}: needs measured depth (supervision.depth)")
         if "sky" in each.term.needs:
             raise InputError(f"{where}.weights.{each.name}: the effect sky adds this term where photos show sky")
