@@ -2,8 +2,10 @@
 
 import json
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_scenes import camera_at, plane
@@ -23,8 +25,16 @@ from gsjax.scene.batches import read_batches
 from gsjax.scene.meshes import Mesh
 from gsjax.settings import Model, Photos, Settings
 
-SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, photo_refine_at=0.75)
+SETTINGS = Refinement(
+    steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, photo_refine_at=0.75, weights={"edges": 0.1}
+)
 BOUND = 54  # three on each of 18 triangles
+
+
+def edges(gaussians, view, batch):
+    """Mean squared difference of corners, over edges and axes: a term of one's own."""
+    corners = view.mesh.vertices[view.mesh.faces]
+    return jnp.mean(jnp.square(corners - jnp.roll(corners, 1, axis=1)))
 
 
 def sheet(depth=4.0) -> Mesh:
@@ -66,7 +76,9 @@ def refined(place):
         patched.setitem(pipeline.refine.__globals__, "SAVED_EVERY", 2)
         read = []
         patched.setattr(photos, "read_image", lambda path: read.append(path.name) or read_image(path))
-        return SimpleNamespace(out=out, report=pipeline.refine(place.run, out, SETTINGS), read=read)
+        return SimpleNamespace(
+            out=out, report=pipeline.refine(place.run, out, SETTINGS, terms={"edges": edges}), read=read
+        )
 
 
 def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined):
@@ -89,6 +101,18 @@ def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined)
     assert (open_result(place.run).depth_mode, open_result(refined.out).depth_mode) == ("plane", "discs")
     assert sorted(refined.read) == [f"{index}.png" for index in range(9)], "every photo is read once"
     assert refined.read[-2:] == ["0.png", "8.png"], "those held out are read last"
+
+
+def test_a_term_of_ones_own_is_recorded_and_descended(refined):
+    """In the last step, before which the mesh was moved for the last time."""
+    mesh = read_mesh(refined.out / "mesh.ply")
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.faces], 1, 0)
+    last = runs.read_metrics(refined.out)[-1]
+    assert last["terms"]["edges"] == pytest.approx(np.mean([(a - b) ** 2, (b - c) ** 2, (c - a) ** 2]), rel=1e-5)
+    weights = {"l1": 0.8, "dssim": 0.2, "normal_consistency": 0.1, "edges": 0.1}
+    assert last["loss"] == pytest.approx(sum(weights[name] * last["terms"][name] for name in weights), rel=1e-5)
+    (phase,) = json_files.read(refined.out / "plan.json")["phases"]
+    assert (phase["terms"]["edges"], phase["needs"]) == (0.1, ["gaussians", "matte", "mesh"])
 
 
 def test_the_parts_of_a_mesh_stay_and_what_goes_is_said(capsys):
@@ -137,11 +161,13 @@ def test_a_stopped_refinement_goes_on_to_the_same_bytes(place, refined, tmp_path
     for left_by_the_end in ("mesh.ply", "gaussians.ply", "checkpoints/step_0000004.npz"):
         (out / left_by_the_end).unlink()
     assert runs.latest_checkpoint(out)[0] == 2
-    pipeline.refine(place.run, out, SETTINGS, resume=True)
+    with pytest.raises(InputError, match=r"was started with terms=\{edges\}, not with no terms="):
+        pipeline.refine(place.run, out, SETTINGS, resume=True)
+    pipeline.refine(place.run, out, SETTINGS, terms={"edges": edges}, resume=True)
     for name in ("mesh.ply", "gaussians.ply"):
         assert (out / name).read_bytes() == (refined.out / name).read_bytes()
     with pytest.raises(InputError, match="refinement.steps = 4, not 5; a resumed run keeps its settings"):
-        pipeline.refine(place.run, out, Refinement(**{**SETTINGS.__dict__, "steps": 5}), resume=True)
+        pipeline.refine(place.run, out, replace(SETTINGS, steps=5), terms={"edges": edges}, resume=True)
 
 
 def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, tmp_path, capsys):
@@ -152,6 +178,12 @@ def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, t
         ([str(place.run), "--mesh", str(tmp_path / "none.ply")], "none.ply: no such mesh file"),
         ([str(place.run), "--mesh", str(tmp_path / "behind.ply")], "sees any of its 18 triangles"),
         ([str(bare)], f"{bare}/mesh.ply: no such mesh; `gsjax mesh {bare} --out {bare}/mesh.ply` makes it"),
+        (
+            [str(place.run), "--set", "weights.l2=1"],
+            "weights.l2: no such term of the loss; the nearest known one is 'l1'",
+        ),
+        ([str(place.run), "--set", "weights.sky=1"], "which a refinement does not have"),
+        ([str(place.run), "--set", "weights.entropy=1"], "the loss term 'entropy' cannot be computed"),
         ([str(tmp_path / "norun"), "--mesh", str(place.run / "mesh.ply")], "norun: no such folder"),
     ]
     for arguments, message in cases:
@@ -178,5 +210,3 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
     changes["weights"] = {"alpha": 2.0}
     assert settings == config.parse(Refinement, config.merge(PRESETS["medium"], changes))
     assert keywords == {"mesh": "m.obj", "resume": True}
-    assert cli.main(["refine", "run", "--out", "o", "--set", "weights.l2=1"]) == 2
-    assert "unknown key 'weights.l2'; the nearest known one is 'weights.l1'" in capsys.readouterr().err

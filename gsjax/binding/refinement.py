@@ -8,50 +8,39 @@ the presets of SuGaR's lengths do.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jax import Array
 
-from gsjax import rendering
-from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS, BoundGaussians
 from gsjax.binding.mixed_gaussians import MixedGaussians
-from gsjax.config import declare_types, parse_numbers
+from gsjax.binding.refinement_terms import view_with_mesh
+from gsjax.config import declare_types
 from gsjax.gaussians import PixelFilter
 from gsjax.metrics.images import in_decibels
 from gsjax.presets import RATES
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.batches import Batch, Batches
-from gsjax.settings import OPACITY_RATE, Rates, check_lowest, check_seed
+from gsjax.settings import OPACITY_RATE, PLAIN, Rates, Weights, check_lowest, check_seed
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.step import Background, Metrics, Outcome, guarded_step, weighted_loss
-from gsjax.training.stepping import advance, faulty_terms, photo_of, view_order
-from gsjax.training.terms import TERMS, Term, weigh_terms, weights_of_data
+from gsjax.training.stepping import TakeStep, advance, describe_fault
+from gsjax.training.terms import LossTerm, comparable_terms, needs
+from gsjax.training.terms.mesh import neighboring_faces
+from rasterizer import TilePairs
 
-
-@dataclass(frozen=True)
-class RefinementWeights:
-    """Weights of the loss terms. A term of weight 0 is not in the compiled program."""
-
-    l1: float = 0.8
-    dssim: float = 0.2
-    alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
-    normal_consistency: float = 0.1  # mean 1 - cos between neighbouring triangles
-
-    def __post_init__(self):
-        """Check that they are finite numbers."""
-        for name, weight in parse_numbers(vars(self), where="weights").items():
-            object.__setattr__(self, name, weight)
-
-
+WEIGHTS = MappingProxyType({**PLAIN, "normal_consistency": 0.1})
+"""Weights of the loss terms that a refinement has unless it says otherwise."""
 VERTICES_FINAL = 1.6e-6  # the vertices' last rate, in the unit of `RefinementRates.vertices` (SuGaR, refine.py)
 
 
@@ -94,12 +83,13 @@ class Refinement:
     keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.uncovered`
     photo_refine_at: float = 1.0  # share of the steps: then photos move the mesh, and it stays there; 1: never
     seed: int = 0
-    weights: RefinementWeights = RefinementWeights()
+    weights: Mapping[str, float] = Weights(**WEIGHTS)  # of the terms by name; those of `WEIGHTS` need no mention
     rates: RefinementRates = RefinementRates()
 
     def __post_init__(self):
         """Check types and ranges."""
         declare_types(self)
+        object.__setattr__(self, "weights", Weights(**{**WEIGHTS, **self.weights}))
         check_seed(self.seed)
         check_lowest(self, steps=1, faces=1, thickness=0)
         if self.sh_every is not None:
@@ -168,7 +158,7 @@ class RefineProgress(NamedTuple):
 
 def refine(
     settings: Refinement,
-    face_pairs: Array,
+    terms: Sequence[LossTerm],
     data: Batches,
     state: RefineState,
     optimizer: optimizers.Optimizer,
@@ -182,7 +172,7 @@ def refine(
 
     Args:
         settings: The run.
-        face_pairs: Of the mesh, see `gsjax.binding.mesh_terms.neighboring_faces`.
+        terms: Of the loss, see `gsjax.binding.refinement_terms`. Those that need mattes are left out without mattes.
         data: The photos.
         state: Where to start. Its buffers are taken.
         optimizer: The transformation that made the state.
@@ -198,27 +188,16 @@ def refine(
     Raises:
         InputError: The device has no room, or a loss or a gradient is not finite.
     """
-    weights = settings.weights
-    if not data.has_mattes:
-        weights = replace(weights, **dict.fromkeys(vars(weights).keys() & weights_of_data("matte", 0.0).keys(), 0.0))
+    terms = comparable_terms(terms, data)
+    face_pairs = neighboring_faces(np.asarray(state.gaussians.bound.faces))
+    how = {"background": background, "sh_every": settings.sh_every or max(settings.steps // 15, 1)}
 
-    sh_every = settings.sh_every or max(settings.steps // 15, 1)
-
-    def step_of(weights: RefinementWeights, capacity: int):
-        step = make_refine_step(optimizer, weights, capacity=capacity, background=background, sh_every=sh_every)
-        return partial(step, face_pairs)
+    def step_of(terms: Sequence[LossTerm], capacity: int) -> TakeStep[RefineState]:
+        return partial(make_refine_step(optimizer, terms, capacity=capacity, **how), face_pairs)
 
     def explain(step: int, state: RefineState, target: Batch, capacity: int) -> str:
-        terms = vars(weights)
-        none = dict.fromkeys(terms, 0.0)
-        fault = faulty_terms(
-            [name for name, weight in terms.items() if weight],
-            lambda name: step_of(RefinementWeights(**{**none, name: terms[name]}), capacity),
-            state,
-            target,
-            jax.random.key(settings.seed),
-        )
-        return f"{photo_of(data, view_order(settings.seed, step, data.num_views))}: {fault}"
+        alone = partial(step_of, capacity=capacity)
+        return describe_fault(terms, alone, state, target, data, seed=settings.seed, places=[step])
 
     def after(step: int, state: RefineState, metrics: Metrics, capacity: int) -> RefineState:
         if step == settings.moving_steps < settings.steps:
@@ -226,10 +205,15 @@ def refine(
         observe(RefineProgress(step, state, metrics, capacity))
         return state
 
-    steps = (int(state.step), settings.steps)
-    capacity = capacity or chosen_capacity(state.gaussians, data)
     state, _ = advance(
-        partial(step_of, weights), after, state, data, steps, seed=settings.seed, capacity=capacity, explain=explain
+        partial(step_of, terms),
+        after,
+        state,
+        data,
+        (int(state.step), settings.steps),
+        seed=settings.seed,
+        capacity=capacity or chosen_capacity(state.gaussians, data),
+        explain=explain,
     )
     return state
 
@@ -246,7 +230,7 @@ def with_faces(gaussians: MixedGaussians, faces: Array | None) -> MixedGaussians
 
 def make_refine_step(
     optimizer: optimizers.Optimizer,
-    weights: RefinementWeights,
+    terms: Sequence[LossTerm],
     *,
     capacity: int,
     background: Background,
@@ -257,41 +241,60 @@ def make_refine_step(
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
     """
 
-    def objective(parameters: MixedGaussians, state: RefineState, face_pairs: Array, batch: Batch, color: Array):
-        gaussians = with_faces(parameters, state.gaussians.bound.faces)
-        view = rendering.render(
-            gaussians,
-            batch.camera,
-            capacity=capacity,
-            background=backdrop.color_behind(color, batch.camera),
-            active_degree=active_degrees(gaussians, state.step // sh_every),
-        )
-        terms = weigh_terms(vars(weights), {**TERMS, "normal_consistency": _normal_consistency(face_pairs)})
-        total, losses, error = weighted_loss(terms, None, gaussians, view, batch)
-        return total, (losses, error, view.splats.pairs)
-
-    def update(state: RefineState, gradients: MixedGaussians, outcome: Outcome, skipped: Array) -> RefineState:
-        del outcome
-        parameters = with_faces(state.gaussians, None)
-        parameters, opt_state = optimizers.apply_gradients(parameters, state.opt_state, optimizer, gradients, skipped)
-        step = jnp.where(skipped, state.step, state.step + 1)
-        return RefineState(with_faces(parameters, state.gaussians.bound.faces), opt_state, step)
-
     @partial(jax.jit, donate_argnums=1)
     def refine_step(face_pairs: Array, state: RefineState, target: Batch, key: Array):
-        def differentiate(state: RefineState, target: Batch, color: Array, key: Array):
-            del key
-            parameters, batch = with_faces(state.gaussians, None), batches.decode(target, color)
-            (total, (losses, error, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
-                parameters, state, face_pairs, batch, color
-            )
-            metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
-            return gradients, Outcome(metrics, pairs.overflowed)
-
-        state, outcome = guarded_step(differentiate, update, background)(state, target, key)
+        loss = partial(_loss, terms, face_pairs, capacity, sh_every)
+        step = guarded_step(partial(_differentiate, loss), partial(_update, optimizer), background)
+        state, outcome = step(state, target, key)
         return state, outcome.metrics
 
     return refine_step
+
+
+def _loss(
+    terms: Sequence[LossTerm],
+    face_pairs: Array,
+    capacity: int,
+    sh_every: int,
+    parameters: MixedGaussians,
+    state: RefineState,
+    batch: Batch,
+    color: Array,
+) -> tuple[Array, tuple[dict[str, Array], Array, TilePairs | None]]:
+    """The loss of one view; each of its terms, the mean squared error, and the lists of the view."""
+    gaussians = with_faces(parameters, state.gaussians.bound.faces)
+    view = view_with_mesh(
+        gaussians,
+        face_pairs,
+        batch.camera,
+        capacity=capacity,
+        background=backdrop.color_behind(color, batch.camera),
+        active_degree=active_degrees(gaussians, state.step // sh_every),
+        with_depth="depth" in needs(terms),
+    )
+    total, losses, error = weighted_loss(terms, None, gaussians, view, batch)
+    return total, (losses, error, view.splats.pairs)
+
+
+def _differentiate(
+    loss: Callable[..., Any], state: RefineState, target: Batch, color: Array, key: Array
+) -> tuple[MixedGaussians, Outcome]:
+    del key
+    (total, (losses, error, pairs)), gradients = jax.value_and_grad(loss, has_aux=True)(
+        with_faces(state.gaussians, None), state, batches.decode(target, color), color
+    )
+    metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
+    return gradients, Outcome(metrics, pairs.overflowed)
+
+
+def _update(
+    optimizer: optimizers.Optimizer, state: RefineState, gradients: MixedGaussians, outcome: Outcome, skipped: Array
+) -> RefineState:
+    del outcome
+    parameters = with_faces(state.gaussians, None)
+    parameters, opt_state = optimizers.apply_gradients(parameters, state.opt_state, optimizer, gradients, skipped)
+    step = jnp.where(skipped, state.step, state.step + 1)
+    return RefineState(with_faces(parameters, state.gaussians.bound.faces), opt_state, step)
 
 
 def active_degrees(gaussians: MixedGaussians, degree: Array) -> Array:
@@ -336,11 +339,3 @@ def vertex_rate(settings: Refinement, extent: float, num_vertices: int) -> optax
         end_value=VERTICES_FINAL * unit,
     )
     return optax.join_schedules([falling, optax.constant_schedule(0.0)], [settings.moving_steps])
-
-
-def _normal_consistency(face_pairs: Array) -> Term:
-    def loss(gaussians: MixedGaussians, view: rendering.View, batch: Batch) -> Array:
-        del view, batch
-        return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, face_pairs)
-
-    return Term(loss, {"gaussians"})

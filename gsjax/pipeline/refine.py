@@ -1,9 +1,10 @@
 """A mesh, Gaussians bound to it and free ones beyond it, trained together on a run's photos, in a new run folder."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -14,9 +15,9 @@ from tqdm import tqdm
 from gsjax import config, runs
 from gsjax.binding import refinement
 from gsjax.binding.bound import BoundGaussians, bind, to_mesh
-from gsjax.binding.mesh_terms import neighboring_faces
 from gsjax.binding.mixed_gaussians import MixedGaussians, all_gaussians, with_free
 from gsjax.binding.refinement import Refinement, RefineProgress, RefineState
+from gsjax.binding.refinement_terms import check_terms, refinement_terms
 from gsjax.binding.uncovered import uncovered_gaussians
 from gsjax.effects.alignment import align
 from gsjax.effects.appearance import without_appearance
@@ -34,6 +35,7 @@ from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
 from gsjax.meshing.ray_queries import ray_caster
 from gsjax.metrics.photos import score_images
 from gsjax.planning.memory import keep_photos, plain_bytes
+from gsjax.planning.warm_start import pieces_record, require_pieces
 from gsjax.report.page import report_if_installed
 from gsjax.report.view_pictures import picture_keeper
 from gsjax.runs.compilations import make_room
@@ -49,6 +51,7 @@ from gsjax.scene.meshes import Mesh
 from gsjax.training.capacity import largest_need
 from gsjax.training.plan import phase_record, plan_record
 from gsjax.training.step import BACKGROUNDS
+from gsjax.training.terms import LossTerm, Term, needs
 
 LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps
 
@@ -59,6 +62,7 @@ def refine(
     settings: Refinement | Mapping[str, Any],
     *,
     mesh: str | Path | None = None,
+    terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     resume: bool = False,
     scene_folder: str | Path | None = None,
 ) -> dict[str, Any]:
@@ -72,6 +76,8 @@ def refine(
             scored and rendered.
         settings: The refinement, or a table of it such as `gsjax.binding.refinement.PRESETS["fast"]`.
         mesh: Any mesh in the data set's coordinates; all its parts are kept. None: `RUN/mesh.ply`.
+        terms: The user's own loss terms by name, as `gsjax.pipeline.train` takes them, of `MixedGaussians`; they are
+            needed again to resume.
         resume: Continue `out` from its last checkpoint; with the same settings and mesh.
         scene_folder: Where the data set is, if it was moved since the training; `out` records it. None: where it was.
 
@@ -82,24 +88,28 @@ def refine(
         a resume beyond it).
 
     Raises:
-        InputError: The run, its data set or the mesh cannot be read, no triangle is seen, or the folder is in use or
-            cannot be written.
+        InputError: The run, its data set or the mesh cannot be read, a weight or a term cannot be used, no triangle is
+            seen, or the folder is in use or cannot be written.
     """
     settings = config.as_record(Refinement, settings)
     make_room()
     run = Path(run)
     trained = Run.open(run)
-    resume = resume and runs.can_resume(out)
-    if not resume:
+    resume, pieces = resume and runs.can_resume(out), pieces_record(terms, None, {})
+    if resume:
+        require_pieces(Run.open(out), pieces)
+    else:
         runs.require_free(out)
+    weighed = refinement_terms(settings.weights, terms)
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name another mesh")
     if resume and scene_folder is not None:
         relocate_scene(out, scene_folder)
-    task = _prepare(settings, trained, source, Path(out), scene_of_run(run, scene=scene_folder))
+    task = _prepare(settings, weighed, trained, source, Path(out), scene_of_run(run, scene=scene_folder))
     folder = _run_folder(task, out, resume=resume)
     with runs.claim_run(folder):
+        runs.update_manifest(folder, **pieces)
         return _write(task, folder, *_fit(task, folder))
 
 
@@ -107,6 +117,7 @@ class _Task(NamedTuple):
     """What is refined, and on what; in local coordinates."""
 
     settings: Refinement
+    terms: tuple[LossTerm, ...]
     trained: Run
     source: Path  # of the mesh
     scene: Scene
@@ -118,8 +129,11 @@ class _Task(NamedTuple):
     result: Result | None  # whose Gaussians may stay free
 
 
-def _prepare(settings: Refinement, trained: Run, source: Path, out: Path, scene: Scene) -> _Task:
+def _prepare(
+    settings: Refinement, terms: tuple[LossTerm, ...], trained: Run, source: Path, out: Path, scene: Scene
+) -> _Task:
     """Read photos and mesh, and bind Gaussians to it."""
+    check_terms(terms, scene.train_frames)
     result = open_result(trained.folder) if settings.keep_free else None
     mesh, taken_out = prepare_mesh(
         scene.similarity.mesh_to_local(read_mesh(source)), settings.faces, settings.halved_share
@@ -147,7 +161,7 @@ def _prepare(settings: Refinement, trained: Run, source: Path, out: Path, scene:
     )
     if not largest_need(bound, data):
         raise InputError(f"{source}: no training view of {scene.root} sees any of its {mesh.num_faces} triangles")
-    return _Task(settings, trained, source, scene, frames, data, mesh, taken_out, bound, result)
+    return _Task(settings, terms, trained, source, scene, frames, data, mesh, taken_out, bound, result)
 
 
 def _run_folder(task: _Task, out: str | Path, *, resume: bool) -> Path:
@@ -156,7 +170,7 @@ def _run_folder(task: _Task, out: str | Path, *, resume: bool) -> Path:
     if resume:
         return runs.reopen(out, record, scene=scene.root)
     about = {"similarity": scene.similarity, "place": scene.place, "split": split_of(scene.frames)}
-    return runs.create(out, record, scene=scene.root, seed=settings.seed, plan=_plan(settings, task.trained), **about)
+    return runs.create(out, record, scene=scene.root, seed=settings.seed, plan=_plan(task), **about)
 
 
 def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
@@ -182,7 +196,7 @@ def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
     with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
         state = refinement.refine(
             settings,
-            neighboring_faces(np.asarray(state.gaussians.bound.faces)),
+            task.terms,
             task.data,
             state,
             optimizer,
@@ -195,11 +209,11 @@ def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
     return state.gaussians, summary | {"photo_refine": photo_report or None}
 
 
-def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
+def _plan(task: _Task) -> dict[str, Any]:
     """What will run, as `plan.json` has it."""
-    terms = {name: weight for name, weight in vars(settings.weights).items() if weight}
-    phase = phase_record("refine", settings.steps, terms, (), begin=0, end=settings.steps)
-    return plan_record([phase], trained.downscale, None)
+    terms, steps = {each.name: each.weight for each in task.terms}, task.settings.steps
+    phase = phase_record("refine", steps, terms, needs(task.terms), begin=0, end=steps)
+    return plan_record([phase], task.trained.downscale, None)
 
 
 def prepare_mesh(original: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:

@@ -14,12 +14,13 @@ from gsjax.rendering.splats import (
     splat,
     tile_grid,
 )
-from gsjax.rendering.viewing import Neighbor, View, colors, render
+from gsjax.rendering.viewing import BoundMesh, Neighbor, View, colors, render
 
 __all__ = [
     "IN_FRONT",
     "MIN_COVERAGE",
     "PIXEL_FILTERS",
+    "BoundMesh",
     "DepthReading",
     "Drawable",
     "Neighbor",

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int32, Shaped
 
 import rasterizer
 from gsjax.numerics import safe_normalize
@@ -25,6 +25,14 @@ class Neighbor(NamedTuple):
     valid: Bool[Array, "H W"] | None = None  # of the photo
 
 
+class BoundMesh(NamedTuple):
+    """The mesh that Gaussians are bound to, as a term reads it."""
+
+    vertices: Float[Array, "V 3"]  # world, scene units
+    faces: Int32[Array, "F 3"]  # vertex ids, counter-clockwise seen from outside
+    face_pairs: Int32[Array, "P 2"]  # faces with a common edge
+
+
 class View(NamedTuple):
     """What one view shows. A field that was not requested is None."""
 
@@ -37,6 +45,7 @@ class View(NamedTuple):
     axes: Float[Array, "H W 3"] | None = None  # what the splats' smallest axes composite to (`facing_axes`), on zero
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
     raw_depth: Float[Array, "H W"] | None = None  # `depth` before it is divided by the coverage: the weighted sum
+    mesh: BoundMesh | None = None  # only in a refinement
 
     @property
     def normals(self) -> Float[Array, "H W 3"]:

@@ -22,8 +22,8 @@ from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan, PlannedPhase
 from gsjax.training.state import TrainState, cull, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
-from gsjax.training.stepping import Feed, advance, faulty_terms, one_view, photo_of, several_views, view_order
-from gsjax.training.terms import LossTerm
+from gsjax.training.stepping import Feed, advance, describe_fault, one_view, several_views
+from gsjax.training.terms import LossTerm, comparable_terms
 from gsjax.training.terms.multi_view import with_neighbors
 from gsjax.training.trainer import Densification, densify_within
 
@@ -182,17 +182,11 @@ class PhaseRun:
     def _key(self) -> Array:
         return jax.random.key(self.work.plan.seed)
 
-    def _comparable(self, terms: tuple[LossTerm, ...]) -> tuple[LossTerm, ...]:
-        """The terms without those that need the mattes that photos lack."""
-        if self.views.image.has_mattes:
-            return terms
-        return tuple(each for each in terms if "matte" not in each.term.needs)
-
     def _step_of(self, terms: tuple[LossTerm, ...], capacity: int) -> TrainStep:
         work, phase, plan = self.work, self.phase, self.work.plan
         return work.make_step(
             work.optimizer,
-            self._comparable(terms),
+            comparable_terms(terms, self.views.image),
             capacity=capacity,
             background=BACKGROUNDS[plan.background],
             sh_every=plan.sh_every,
@@ -214,11 +208,9 @@ class PhaseRun:
         """Which photos and terms were not finite."""
         phase, plan, data = self.phase, self.work.plan, self.views.image
         terms = phase.terms if _is_due(step, phase.surface_every) else phase.image_terms
-        alone = {each.name: (each,) for each in self._comparable(terms)}
-        fault = faulty_terms(alone, lambda name: self._step_of(alone[name], capacity), state, target, self._key)
         places = range(step * plan.views_per_step, (step + 1) * plan.views_per_step)
-        photos = {photo_of(data, view_order(plan.seed, place, data.num_views)) for place in places}
-        return f"{', '.join(sorted(photos))}: {fault}"
+        alone = partial(self._step_of, capacity=capacity)
+        return describe_fault(comparable_terms(terms, data), alone, state, target, data, seed=plan.seed, places=places)
 
     def _after(self, step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         """Densify, cull and shorten when it is time, then report."""

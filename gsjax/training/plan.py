@@ -17,7 +17,7 @@ from gsjax.scene import Frame
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Schedule, Settings, Supervision
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule, rule_named
 from gsjax.training.terms import TERMS, LossTerm, Term, needs, weigh_terms, weights_of_data
-from gsjax.training.terms.checking import as_terms, check_term
+from gsjax.training.terms.checking import as_terms, check_term, shapes_of_training
 
 T = TypeVar("T", Density, Logging)
 
@@ -213,7 +213,8 @@ def plan(
     Raises:
         InputError: A weight has no term, or a term needs data that the run does not have.
     """
-    all_terms, rule = {**TERMS, **as_terms(terms)}, densification or rule_named(settings.density.rule)
+    all_terms = {**TERMS, **as_terms(terms, shapes_of_training)}
+    rule = densification or rule_named(settings.density.rule)
     schedule, views = settings.schedule, settings.schedule.views_per_step
     phases, begin = [], 0
     for phase in schedule.phases:
@@ -252,7 +253,7 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
     }
     for each, wide, high in sorted(cases, key=lambda one: (one[0].name, one[1:])):
         if wide and high:  # A phase that leaves nothing of the photos is refused where they are read.
-            check_term(each, wide, high, planned.depth_mode)
+            check_term(each, shapes_of_training(wide, high, planned.depth_mode))
 
 
 def _planned_phase(
@@ -291,6 +292,8 @@ def _weighed(
             raise InputError(f"{where}.weights.{each.name}: needs measured depth (supervision.depth)")
         if "sky" in each.term.needs:
             raise InputError(f"{where}.weights.{each.name}: the effect sky adds this term where photos show sky")
+        if "mesh" in each.term.needs:
+            raise InputError(f"{where}.weights.{each.name}: needs a mesh, which a refinement alone has")
     return weighed
 
 

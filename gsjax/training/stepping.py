@@ -18,6 +18,7 @@ from gsjax.scene.batches import Batch, Batches
 from gsjax.training import data_parallel
 from gsjax.training.capacity import STILL, can_stream, is_compiled_anew, no_room, rounded_capacity
 from gsjax.training.step import Metrics
+from gsjax.training.terms import LossTerm
 from gsjax.training.terms.multi_view import draw_neighbor
 
 S = TypeVar("S")  # A state of training.
@@ -142,7 +143,7 @@ def advance(
             known whether this one overflowed, so that a GPU never waits, and `after` gets a later state. The numbers
             are the same. None: it always looks.
         explain: (steps done, state, what the next step compares with, capacity) -> what is wrong with a step whose loss
-            or gradients are not finite, see `faulty_terms`.
+            or gradients are not finite, see `describe_fault`.
 
     Returns:
         The state after the last step, and the pair buffer's length by then.
@@ -196,25 +197,29 @@ def _is_taken(metrics: Metrics) -> bool:
     return bool(finite) and not overflowed
 
 
-def faulty_terms(
-    names: Iterable[str],
-    step_of: Callable[[str], Callable[[Any, Batch, Array], tuple[Any, Metrics]]],
-    state: Any,
+def describe_fault(
+    terms: Iterable[LossTerm],
+    step_of: Callable[[tuple[LossTerm]], TakeStep[S]],
+    state: S,
     target: Batch,
-    key: Array,
+    data: Batches,
+    *,
+    seed: int,
+    places: Iterable[int],
 ) -> str:
-    """Which of these terms are at fault, in words, by the step of each alone. The state before it stays as it is."""
-    faults = []
-    for name in names:
-        _, metrics = step_of(name)(jax.tree.map(jnp.copy, state), target, key)
-        value = float(metrics.terms[name])
+    """Which photos, and which of these terms by the step of each alone, are not finite. The state stays as it is.
+
+    `places` are those of the photos of the step in the order of `seed`.
+    """
+    faults, key = [], jax.random.key(seed)
+    for each in terms:
+        _, metrics = step_of((each,))(jax.tree.map(jnp.copy, state), target, key)
+        value = float(metrics.terms[each.name])
         if not np.isfinite(value):
-            faults.append(f"the loss term '{name}' is {value}")
+            faults.append(f"the loss term '{each.name}' is {value}")
         elif not metrics.finite:
-            faults.append(f"the gradient of the loss term '{name}' is not finite")
-    return " and ".join(faults) or f"{NOT_FINITE}, though that of every term alone is"
-
-
-def photo_of(data: Batches, view: int) -> str:
-    """A photo by its name, or by its number."""
-    return f"photo {data.names[view] if data.names else view}"
+            faults.append(f"the gradient of the loss term '{each.name}' is not finite")
+    fault = " and ".join(faults) or f"{NOT_FINITE}, though that of every term alone is"
+    views = [view_order(seed, place, data.num_views) for place in places]
+    photos = {f"photo {data.names[view] if data.names else view}" for view in views}
+    return f"{', '.join(sorted(photos))}: {fault}"

@@ -180,6 +180,7 @@ class Step:
 
     def _check(self, view: Batch) -> None:
         fields = {"normals": view.normals, "measured": view.depth, "sky": view.sky, "neighbor": view.neighbor}
+        fields["mesh"] = None  # Only a refinement has one.
         for name in sorted(self.needs & fields.keys()):
             if fields[name] is None:
                 terms = ", ".join(each.name for each in self.terms if name in each.term.needs)

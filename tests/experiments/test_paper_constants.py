@@ -154,7 +154,7 @@ CONSTANTS = (
     Constant("refinement's triangles, Gaussians a triangle, harmonics", (1_000_000, 1, 3), "SuGaR, refine.py",
              lambda: (Refinement().faces, Refinement().per_triangle, Refinement().sh_degree)),
     Constant("weight of normal consistency", 0.1, "SuGaR, refine.py",
-             lambda: Refinement().weights.normal_consistency),
+             lambda: Refinement().weights["normal_consistency"]),
     Constant("medium, long", (7_000, 15_000), "SuGaR, train.py",
              lambda: tuple(REFINEMENTS[name]["steps"] for name in ("medium", "long"))),
     Constant("vertices' rate at the first step and after 7,000, times 10 extent / sqrt(V)", (1.6e-4, 5.46e-5),

@@ -1,4 +1,4 @@
-"""The terms of the training loss: each one record, the library's by name in `TERMS`; a run's own are arguments.
+"""The terms of the loss of trainings and refinements: the library's by name in `TERMS`; a run's own are arguments.
 
 To add one, write a function of (Gaussians, View, Batch) and say what it needs: `Term(loss, needs)`.
 """
@@ -11,7 +11,8 @@ from jax import Array
 from jaxtyping import Float
 
 from gsjax.errors import InputError
-from gsjax.training.terms import losses, multi_view
+from gsjax.scene.batches import Batches
+from gsjax.training.terms import losses, mesh, multi_view
 
 NEEDS = {
     "depth": "the rendered depth, `View.depth`",
@@ -21,6 +22,7 @@ NEEDS = {
     "neighbor": "a second view, `View.neighbor`",
     "sky": "where the photo shows open sky, `Batch.sky`",
     "matte": "the alpha channel of the photo, `Batch.matte`; without one the term is left out",
+    "mesh": "the mesh that the Gaussians are bound to, `View.mesh`",
     "gaussians": "the Gaussians themselves, not their picture alone",
 }
 """What a term may need in addition to the image, and where it finds it."""
@@ -86,8 +88,10 @@ TERMS: Mapping[str, Term] = {
     "measured_depth": Term(losses.measured_depth, {"depth", "measured"}),
     "alpha": Term(losses.alpha, {"matte"}),
     "sky": Term(losses.sky, {"sky"}),
+    "normal_consistency": Term(mesh.normal_consistency, {"mesh"}),
 }
-"""The library's own: of the image (3DGS), of the paper (`sdf_normal` is its R), and those of other mesh makers."""
+"""The library's own, of training and refinement: of the image (3DGS), of the paper (`sdf_normal` is its R), and those
+of other mesh makers."""
 
 
 def weigh_terms(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS) -> tuple[LossTerm, ...]:
@@ -107,6 +111,11 @@ def weigh_terms(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS)
 def weights_of_data(need: str, weight: float) -> dict[str, float]:
     """The weights of the library's terms that compare with this data, a word of `NEEDS`: data enable their terms."""
     return {name: weight for name, term in TERMS.items() if need in term.needs}
+
+
+def comparable_terms(terms: Iterable[LossTerm], data: Batches) -> tuple[LossTerm, ...]:
+    """The terms without those that need the mattes that photos lack."""
+    return tuple(each for each in terms if data.has_mattes or "matte" not in each.term.needs)
 
 
 def needs(terms: Iterable[LossTerm]) -> frozenset[str]:

@@ -27,31 +27,32 @@ Seen = tuple[Gaussians, View, Batch]
 """What a term reads; shapes and dtypes only."""
 
 
-def as_terms(terms: Mapping[str, Term | Callable[..., Array]]) -> dict[str, Term]:
+def as_terms(terms: Mapping[str, Term | Callable[..., Array]], shapes: Callable[[int, int], Seen]) -> dict[str, Term]:
     """The same with a `Term` for every bare function: it needs what it cannot be computed without.
+
+    `shapes` is (width, height) -> all that a term may read, such as `shapes_of_training`.
 
     Raises:
         InputError: One of them is no function.
     """
-    return {name: term if isinstance(term, Term) else _as_term(name, term) for name, term in terms.items()}
+    return {name: term if isinstance(term, Term) else _as_term(name, term, shapes) for name, term in terms.items()}
 
 
-def _as_term(name: str, loss: Any) -> Term:
+def _as_term(name: str, loss: Any, shapes: Callable[[int, int], Seen]) -> Term:
     if not callable(loss):
         raise InputError(f"terms.{name} is {loss!r}, expected a function of (Gaussians, View, Batch) or a Term of one")
-    missing = _missing(loss, _everything(*SIZE, "plane"), ())
+    missing = _missing(loss, shapes(*SIZE), ())
     # Where it fails with everything, `check_term` says so, on photos of the run's size.
     return Term(loss, {"gaussians", *(missing or ())})
 
 
-def check_term(each: LossTerm, width: int, height: int, depth_mode: DepthReading) -> None:
-    """Try a term with what it needs, and with nothing else, on photos of a size.
+def check_term(each: LossTerm, everything: Seen) -> None:
+    """Try a term with what it needs, and with nothing else of what its steps may show.
 
     Raises:
         InputError: It cannot be computed or differentiated, or its value is not one float.
     """
     loss, needs = each.term.loss, frozenset(each.term.needs)
-    everything = _everything(width, height, depth_mode)
     own = _with(everything, needs)
     error = _error(loss, own)
     if error is not None:
@@ -111,40 +112,50 @@ def _with(everything: Seen, needs: frozenset[str]) -> Seen:
     """What a step shows a term that has these needs."""
     gaussians, view, batch = everything
     of_data = {"normals": "normals", "depth": "measured", "trust": "measured", "sky": "sky", "matte": "matte"}
-    of_view = {"depth": "depth", "raw_depth": "depth", "axes": "axes", "neighbor": "neighbor"}
+    of_view = {"depth": "depth", "raw_depth": "depth", "axes": "axes", "neighbor": "neighbor", "mesh": "mesh"}
     view = view._replace(**dict.fromkeys(name for name, need in of_view.items() if need not in needs))
     batch = replace(batch, **dict.fromkeys(name for name, need in of_data.items() if need not in needs))
     return gaussians, view, batch
 
 
-@lru_cache(maxsize=8)
-def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
-    """All that any term may read, as shapes."""
+def shape(*sides: int, dtype: Any = jnp.float32) -> Any:
+    """An array without values."""
+    return jax.ShapeDtypeStruct(sides, dtype)
 
-    def shape(*sides: int, dtype: Any = jnp.float32) -> Any:
-        return jax.ShapeDtypeStruct(sides, dtype)
 
-    def photo(*channels: int, dtype: Any) -> Any:
-        return shape(height, width, *channels, dtype=dtype)
+GAUSSIANS = Gaussians(
+    shape(ROWS, 3), shape(ROWS, 4), shape(ROWS, 3), shape(ROWS), shape(ROWS, 1, 3), shape(ROWS, BANDS, 3)
+)
 
-    gaussians = Gaussians(
-        shape(ROWS, 3), shape(ROWS, 4), shape(ROWS, 3), shape(ROWS), shape(ROWS, 1, 3), shape(ROWS, BANDS, 3)
-    )
+
+def shapes_of_step(
+    gaussians: Any, render: Callable[[Any, Batch, Array], View], width: int, height: int, **maps: Any
+) -> Seen:
+    """What a term reads in a step that renders Gaussians so, (Gaussians, decoded photo, colour behind them) -> view.
+
+    `maps` are the fields of `Batch` in addition to photo and matte.
+    """
+
+    def rendered(gaussians: Any, target: Batch, color: Array) -> tuple[View, Batch]:
+        batch = batches.decode(target, color)
+        return render(gaussians, batch, color), batch
+
     target = Batch(
         Camera(shape(4, 4), shape(3, 3), width, height),
-        image=photo(3, dtype=jnp.uint8),
-        valid=photo(dtype=bool),
-        matte=photo(dtype=jnp.uint8),
-        normals=photo(3, dtype=jnp.int8),
-        depth=photo(dtype=jnp.float32),
-        trust=photo(dtype=jnp.uint8),
-        photo=shape(dtype=jnp.int32),
-        sky=photo(dtype=bool),
+        image=shape(height, width, 3, dtype=jnp.uint8),
+        valid=shape(height, width, dtype=bool),
+        matte=shape(height, width, dtype=jnp.uint8),
         size=shape(2, dtype=jnp.int32),
+        **maps,
     )
+    return gaussians, *jax.eval_shape(rendered, gaussians, target, shape(3))
 
-    def rendered(gaussians: Gaussians, target: Batch, color: Array) -> tuple[View, Batch]:
-        batch = batches.decode(target, color)
+
+@lru_cache(maxsize=8)
+def shapes_of_training(width: int, height: int, depth_mode: DepthReading = "plane") -> Seen:
+    """All that any term of a training may read, as shapes."""
+
+    def render(gaussians: Gaussians, batch: Batch, color: Array) -> View:
         view = rendering.render(
             gaussians,
             batch.camera,
@@ -154,6 +165,16 @@ def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
             depth_mode=depth_mode,
             with_axes=True,
         )
-        return view._replace(neighbor=render_neighbor(gaussians, batch, PAIRS, depth_mode)), batch
+        return view._replace(neighbor=render_neighbor(gaussians, batch, PAIRS, depth_mode))
 
-    return gaussians, *jax.eval_shape(rendered, gaussians, target, shape(3))
+    return shapes_of_step(
+        GAUSSIANS,
+        render,
+        width,
+        height,
+        normals=shape(height, width, 3, dtype=jnp.int8),
+        depth=shape(height, width),
+        trust=shape(height, width, dtype=jnp.uint8),
+        photo=shape(dtype=jnp.int32),
+        sky=shape(height, width, dtype=bool),
+    )

@@ -11,7 +11,6 @@ from tolerances import assert_close
 from gsjax import config
 from gsjax.binding import refinement
 from gsjax.binding.bound import bind, to_mesh
-from gsjax.binding.mesh_terms import neighboring_faces
 from gsjax.binding.mixed_gaussians import MixedGaussians, with_free
 from gsjax.binding.refinement import Refinement, RefinementRates
 from gsjax.errors import InputError
@@ -21,6 +20,7 @@ from gsjax.scene import Pixels, batches, frame_of
 from gsjax.scene.meshes import Mesh
 from gsjax.training.step import BACKGROUNDS
 from gsjax.training.stepping import view_order
+from gsjax.training.terms import weigh_terms
 
 EXTENT, CAPACITY = 4.0, 16384
 SETTINGS = Refinement(
@@ -59,9 +59,7 @@ def scene():
         frame_of(f"{i}.png", np.asarray(c.viewmat), np.asarray(c.K), Pixels(np.rint(255 * p.colors).astype(np.uint8)))
         for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
     )
-    return SimpleNamespace(
-        truth=truth, rough=rough, frames=frames, data=batches.read_batches(frames), graph=neighboring_faces(truth.faces)
-    )
+    return SimpleNamespace(truth=truth, rough=rough, frames=frames, data=batches.read_batches(frames))
 
 
 def started(scene, free=None):
@@ -86,7 +84,7 @@ def whole(scene):
     state, optimizer = started(scene)
     final = refinement.refine(
         SETTINGS,
-        scene.graph,
+        weigh_terms(SETTINGS.weights),
         scene.data,
         state,
         optimizer,
@@ -185,15 +183,15 @@ def test_wrong_settings_are_named(wrong, message):
 def test_a_term_whose_gradient_is_not_finite_is_named_with_its_step_and_photo(scene, monkeypatch):
     """In steps that are not compiled: those of all terms and of this one report what is not finite."""
 
-    def make_refine_step(optimizer, weights, **_):
-        metrics = SimpleNamespace(
-            overflowed=False, finite=not weights.dssim, needed=1, terms=dict.fromkeys(vars(weights), 1.0)
-        )
-        return lambda graph, state, target, key: (state, metrics)
+    def make_refine_step(optimizer, terms, **_):
+        values = {each.name: 1.0 for each in terms}
+        metrics = SimpleNamespace(overflowed=False, finite="dssim" not in values, needed=1, terms=values)
+        return lambda face_pairs, state, target, key: (state, metrics)
 
     monkeypatch.setattr(refinement, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
     how = {"background": BACKGROUNDS["black"], "observe": lambda progress: None, "capacity": CAPACITY}
     name = scene.frames[view_order(SETTINGS.seed, 0, len(scene.frames))].name
     with pytest.raises(InputError, match=f"^step 1, photo {name}: the gradient of the loss term 'dssim' is not finite"):
-        refinement.refine(replace(SETTINGS, steps=1), scene.graph, scene.data, state, optimizer, **how)
+        settings, terms = replace(SETTINGS, steps=1), weigh_terms(SETTINGS.weights)
+        refinement.refine(settings, terms, scene.data, state, optimizer, **how)

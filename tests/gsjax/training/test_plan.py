@@ -96,7 +96,7 @@ def test_a_term_of_ones_own_stands_beside_the_others_or_in_the_place_of_one():
 
 
 def test_words_and_rules_that_nothing_provides_are_refused():
-    words = "depth, axes, normals, measured, neighbor, sky, matte, gaussians"
+    words = "depth, axes, normals, measured, neighbor, sky, matte, mesh, gaussians"
     with pytest.raises(ValueError, match=f"needs='depht' is none of {words}"):
         Term(needles, {"depht"})
     with pytest.raises(InputError, match=r"^density\.rule='mine' is none of adc, error$"):

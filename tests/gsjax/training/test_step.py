@@ -228,7 +228,7 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     measured = np.full(SIZE[::-1], 2, np.float32), np.full(SIZE[::-1], 255, np.uint8)
     data = batches.with_depths(batches.with_normals(setup.data, [normals] * 3), [measured] * 3)
     data = batches.with_skies(data, [np.ones(SIZE[::-1], bool)] * 3)
-    terms = weigh_terms(dict.fromkeys(TERMS, 0.1))
+    terms = weigh_terms(dict.fromkeys(TERMS.keys() - {"normal_consistency"}, 0.1))
     capacity = int(1.1 * largest_need(start().gaussians, data))
     step = step_with(terms, capacity=capacity, background=BACKGROUNDS["white"], rule=None)
     state = start()

@@ -8,12 +8,12 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.training.terms import NEEDS, TERMS, LossTerm, Term
-from gsjax.training.terms.checking import as_terms, check_term
+from gsjax.training.terms.checking import as_terms, check_term, shapes_of_training
 
 
 def check(term, width=48, height=40):
-    (term,) = as_terms({"mine": term}).values()
-    check_term(LossTerm("mine", 0.1, term), width, height, "plane")
+    (term,) = as_terms({"mine": term}, shapes_of_training).values()
+    check_term(LossTerm("mine", 0.1, term), shapes_of_training(width, height))
     return frozenset(term.needs)
 
 

@@ -1,10 +1,14 @@
-"""The term that keeps a mesh smooth while its vertices are trained, and the neighbours that it reads."""
+"""The term that keeps a mesh smooth while its vertices are trained, and the pairs of triangles that it compares."""
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from gsjax.rendering import View
+from gsjax.scene.batches import Batch
 from rasterizer.covariances import Vector, components, cross, dot, matrix_rows
 from rasterizer.tracing import walled
 
@@ -26,11 +30,14 @@ def neighboring_faces(faces: np.ndarray) -> Array:
     return jnp.asarray(pairs, jnp.int32)
 
 
-def normal_consistency(vertices: Array, faces: Array, face_pairs: Array) -> Array:
+def normal_consistency(gaussians: Any, view: View, batch: Batch) -> Array:
     """Mean of 1 - cos between the normals of neighbouring triangles (0 on a plane, 2 on a fold); 0 without neighbours.
 
     A pair with a collapsed triangle says nothing and has no gradient.
     """
+    del gaussians, batch
+    assert view.mesh is not None, "only a refinement has the term"
+    vertices, faces, face_pairs = view.mesh
     is_there = jnp.any(jnp.isfinite(vertices))
     normals = jnp.stack(walled(jax.checkpoint(_normals), is_there, *matrix_rows(vertices[faces])), axis=-1)
     first, second = (components(normals[face_pairs[:, i]]) for i in range(2))

@@ -1,10 +1,13 @@
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from tolerances import assert_close
 
-from gsjax.binding.mesh_terms import neighboring_faces, normal_consistency
+from gsjax.rendering import BoundMesh
+from gsjax.training.terms.mesh import neighboring_faces, normal_consistency
 
 
 def grid(rng):
@@ -16,7 +19,10 @@ def grid(rng):
     return vertices, faces.astype(np.int32)
 
 
-with_slope = jax.jit(jax.value_and_grad(normal_consistency))
+@jax.jit
+@jax.value_and_grad
+def with_slope(*mesh):
+    return normal_consistency(None, SimpleNamespace(mesh=BoundMesh(*mesh)), None)
 
 
 def consistency(vertices, faces):
