@@ -293,7 +293,7 @@ def _weighed(
         if "sky" in each.term.needs:
             raise InputError(f"{where}.weights.{each.name}: the effect sky adds this term where photos show sky")
         if "mesh" in each.term.needs:
-            raise InputError(f"{where}.weights.{each.name}: needs a mesh, which a refinement alone has")
+            raise InputError(f"{where}.weights.{each.name}: only a refinement has a mesh")
     return weighed
 
 

@@ -98,6 +98,10 @@ class _Free(NamedTuple):
     numbers: dict[str, Any] | None  # of the effects
 
 
+def _free(state: TrainState) -> _Free:
+    return _Free(state.gaussians, None, None if state.effects is None else state.effects.numbers)
+
+
 @dataclass(frozen=True)
 class _Objective:
     """The loss of one view and its gradients, as one phase has them."""
@@ -111,25 +115,42 @@ class _Objective:
     extent: float
     dropout: float
 
-    def gradients(self, state: TrainState, target: Batch, color: Array, key: Array):
-        """`_Free` gradients of the loss, `Metrics` and the projection of one view."""
+    def one_view(self, state: TrainState, target: Batch, color: Array, key: Array) -> tuple[_Free, Outcome]:
+        """What a step over one view needs, see `guarded_step`."""
+        gradients, metrics, statistics = self._look(state, state.statistics, target, color, key)
+        return gradients, Outcome(metrics, metrics.overflowed, statistics)
+
+    def several_views(self, state: TrainState, views: Batch, color: Array, key: Array) -> tuple[_Free, Outcome]:
+        """What a step over the stacked views of all devices needs: means of gradients, sums of statistics."""
+
+        def add_view(sums: tuple[_Free, Any], target: Batch):
+            gradients, metrics, statistics = self._look(state, sums[1], target, color, key)
+            return (jax.tree.map(jnp.add, sums[0], gradients._replace(probe=None)), statistics), metrics
+
+        zeros = jax.tree.map(jnp.zeros_like, (_free(state), state.statistics))
+        sums, of_views = jax.lax.scan(add_view, zeros, views)
+        gradients, added = jax.lax.psum(sums, data_parallel.AXIS)
+        count = of_views.loss.shape[0] * jax.lax.axis_size(data_parallel.AXIS)
+        metrics = _of_all_views(of_views, self.capacity)
+        statistics = jax.tree.map(jnp.add, state.statistics, added)
+        return jax.tree.map(lambda total: total / count, gradients), Outcome(metrics, metrics.overflowed, statistics)
+
+    def _look(
+        self, state: TrainState, statistics: Any, target: Batch, color: Array, key: Array
+    ) -> tuple[_Free, Metrics, Any]:
+        """Gradients of the loss of one view, its metrics, and the statistics of densification with this view."""
         batch = batches.decode(target, color)
         has_neighbor = "neighbor" in needs(self.terms) and target.neighbor
         neighbor = batches.decode(target.neighbor, color) if has_neighbor else None
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if self.rule else None
-        free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, error, projection, pairs)), gradients = jax.value_and_grad(self._loss, has_aux=True)(
-            free, state, batch, neighbor, color, key
+            _free(state)._replace(probe=probe), state, batch, neighbor, color, key
         )
-        return gradients, Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses), projection
-
-    def accumulate(self, statistics: Any, gradients: _Free, projection: rasterizer.Projection, size: Array) -> Any:
-        """The statistics of densification with one more view, a photo of `size` pixels."""
-        if not self.rule:
-            return statistics
-        is_visible = in_photo(projection, size)
-        distances = jnp.where(is_visible, projection.depths[0], 0) / self.extent
-        return self.rule.accumulate(statistics, gradients.probe, is_visible, distances, size)
+        if self.rule:
+            is_visible = in_photo(projection, target.size)
+            distances = jnp.where(is_visible, projection.depths[0], 0) / self.extent
+            statistics = self.rule.accumulate(statistics, gradients.probe, is_visible, distances, target.size)
+        return gradients, Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses), statistics
 
     def _loss(self, free: _Free, state: TrainState, batch: Batch, neighbor: Batch | None, color: Array, key: Array):
         gaussians, probe, numbers = free
@@ -196,38 +217,9 @@ def make_train_step(
         A `TrainStep`. With a mesh it takes stacked targets and descends the mean of their losses. The loss, the terms
         and the PSNR are means over the views, `needed` is the largest.
     """
-    look = _Objective(terms, capacity, sh_every, rule, depth_mode, effects, extent, dropout)
-
-    def one_view(state: TrainState, target: Batch, color: Array, key: Array) -> tuple[_Free, Outcome]:
-        gradients, metrics, projection = look.gradients(state, target, color, key)
-        statistics = look.accumulate(state.statistics, gradients, projection, target.size)
-        return gradients, Outcome(metrics, metrics.overflowed, statistics)
-
-    def several_views(state: TrainState, views: Batch, color: Array, key: Array) -> tuple[_Free, Outcome]:
-        def add_view(sums: tuple[_Free, Any], target: Batch):
-            gradients, metrics, projection = look.gradients(state, target, color, key)
-            statistics = look.accumulate(sums[1], gradients, projection, target.size)
-            return (jax.tree.map(jnp.add, sums[0], gradients._replace(probe=None)), statistics), metrics
-
-        numbers = None if state.effects is None else state.effects.numbers
-        zeros = jax.tree.map(jnp.zeros_like, (_Free(state.gaussians, None, numbers), state.statistics))
-        sums, of_views = jax.lax.scan(add_view, zeros, views)
-        gradients, added = jax.lax.psum(sums, data_parallel.AXIS)
-        count = of_views.loss.shape[0] * jax.lax.axis_size(data_parallel.AXIS)
-        metrics = _of_all_views(of_views, capacity)
-        statistics = jax.tree.map(jnp.add, state.statistics, added)
-        return jax.tree.map(lambda total: total / count, gradients), Outcome(metrics, metrics.overflowed, statistics)
-
-    def update(state: TrainState, gradients: _Free, outcome: Outcome, skipped: Array) -> TrainState:
-        gaussians, opt_state = optimizers.apply_gradients(
-            state.gaussians, state.opt_state, optimizer, gradients.gaussians, skipped
-        )
-        before = state.statistics, state.step, state.effects
-        after = outcome.statistics, state.step + 1, simulation.update_effects(effects, state.effects, gradients.numbers)
-        statistics, step, looks = optimizers.unless(skipped, before, after)
-        return replace(state, gaussians=gaussians, opt_state=opt_state, statistics=statistics, step=step, effects=looks)
-
-    step = guarded_step(several_views if mesh else one_view, update, background)
+    objective = _Objective(terms, capacity, sh_every, rule, depth_mode, effects, extent, dropout)
+    differentiate = objective.several_views if mesh else objective.one_view
+    step = guarded_step(differentiate, partial(_update, optimizer, effects), background)
     if mesh:
         step = data_parallel.on_mesh(step, mesh)
 
@@ -237,6 +229,23 @@ def make_train_step(
         return state, outcome.metrics
 
     return train_step
+
+
+def _update(
+    optimizer: optimizers.Optimizer,
+    effects: Effects,
+    state: TrainState,
+    gradients: _Free,
+    outcome: Outcome,
+    skipped: Array,
+) -> TrainState:
+    gaussians, opt_state = optimizers.apply_gradients(
+        state.gaussians, state.opt_state, optimizer, gradients.gaussians, skipped
+    )
+    before = state.statistics, state.step, state.effects
+    after = outcome.statistics, state.step + 1, simulation.update_effects(effects, state.effects, gradients.numbers)
+    statistics, step, looks = optimizers.unless(skipped, before, after)
+    return replace(state, gaussians=gaussians, opt_state=opt_state, statistics=statistics, step=step, effects=looks)
 
 
 def _of_all_views(metrics: Metrics, capacity: int) -> Metrics:

@@ -151,27 +151,22 @@ def advance(
     Raises:
         InputError: The device has no room, or a loss or a gradient is not finite. That step is not taken.
     """
-    key, target, program = jax.random.key(seed), None, Program(compiled, capacity, room)
-    view_share = VIEW_SHARE
+    key, program = jax.random.key(seed), Program(compiled, capacity, room)
     done, end = steps
     ahead = None if looks is None else int(state.step) - done  # pyright: ignore[reportAttributeAccessIssue]
+    targets = _Targets(feed, data, seed, ahead)
     pending: list[Metrics] = []  # of the steps after `done`
     needed = deque(maxlen=data.num_views)  # by the last steps
     while done < end:
         step = done + len(pending)
         try:
-            target = target or feed(data, seed, view_share)
-            here = target(step) if ahead is None else replace(target(step), turn=np.int32(step + ahead))
-            state, metrics = program.step(state, here, key)
+            state, metrics = program.step(state, targets(step), key)
             pending.append(metrics)
             is_seen = looks is None or step + 1 == end or looks(step + 1)
             to_check = pending if is_seen else pending[:-1]
             num_taken = next((index for index, each in enumerate(to_check) if not _is_taken(each)), len(to_check))
         except jax.errors.JaxRuntimeError as error:
-            if not is_out_of_memory(error) or not can_stream(state, data, view_share):
-                raise no_room(error, data, program.capacity) from error
-            logger.warning("the device is full: photos are sent to it one by one from here on")
-            target, view_share = None, 0.0
+            targets.stream(error, state, program.capacity)
             continue
         for metrics in to_check[:num_taken]:
             done += 1
@@ -179,16 +174,35 @@ def advance(
             before, state = state, after(done, state, metrics, program.capacity)
             if is_compiled_anew(before, state):  # The pairs get their room in the same compilation.
                 program.lengthen(max(map(int, needed)), least=program.capacity)
-        if num_taken < len(to_check):  # What was begun after it has left the state as it was, too.
-            if not to_check[num_taken].overflowed:
-                missed = target(done) if ahead is None else replace(target(done), turn=np.int32(done + ahead))
-                fault = explain(done, state, missed, program.capacity)
+        missed, pending = to_check[num_taken:], pending[num_taken:]
+        if missed:  # What was begun after it has left the state as it was, too.
+            if not missed[0].overflowed:
+                fault = explain(done, state, targets(done), program.capacity)
                 raise InputError(f"step {done + 1:,}, {fault}; training stops before it and keeps what it saved")
-            program.lengthen(to_check[num_taken].needed)
+            program.lengthen(missed[0].needed)
             pending = []
-        else:
-            pending = pending[num_taken:]
     return state, program.capacity
+
+
+class _Targets:
+    """What each step compares with. Once the device was full, photos are sent to it one by one."""
+
+    def __init__(self, feed: Feed, data: Batches, seed: int, ahead: int | None):
+        """`ahead` is what `state.step` is more than the steps done; None: no step is begun before its turn."""
+        self.feed, self.data, self.seed, self.ahead = feed, data, seed, ahead
+        self.view_share, self.fed = VIEW_SHARE, None
+
+    def __call__(self, step: int) -> Batch:
+        self.fed = self.fed or self.feed(self.data, self.seed, self.view_share)
+        here = self.fed(step)
+        return here if self.ahead is None else replace(here, turn=np.int32(step + self.ahead))
+
+    def stream(self, error: Exception, state: Any, capacity: int) -> None:
+        """Free the photos on the device after this error; raise it where that frees nothing, or it is another one."""
+        if not is_out_of_memory(error) or not can_stream(state, self.data, self.view_share):
+            raise no_room(error, self.data, capacity) from error
+        logger.warning("the device is full: photos are sent to it one by one from here on")
+        self.view_share, self.fed = 0.0, None
 
 
 def _is_taken(metrics: Metrics) -> bool:

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation_matrices, scales, take
+from gsjax.gaussians import Gaussians, is_alive, opacities, rotation_matrices, scales, take
 from gsjax.numerics import mean_channel
 from gsjax.rendering import View
 from gsjax.scene.batches import Batch
 from gsjax.settings import Density
-from gsjax.training.densification.gradient_driven import MAX_SHARE, MIN_OPACITY, Moves
+from gsjax.training.densification.gradient_driven import MAX_SHARE, MIN_OPACITY, Moves, assign_rows, kill, mark
 
 SHORTER = 0.6  # A half's deviation along the axis that splits, in those of the whole; the others stay.
 APART = (1 - SHORTER**2) ** 0.5  # And how far off it sits: both halves together spread as the whole did.
@@ -99,39 +99,40 @@ def densify(
     split start with no moments.
     """
     del key
-    rows = gaussians.num_gaussians
     # What floats before the cameras must be small; what is far behind may be few, and then each is large.
     away = jnp.maximum(statistics.depths / jnp.maximum(statistics.views, 1), 1)
     too_large = scales(gaussians).max(-1) > MAX_SHARE * extent * jnp.square(away)
     stays = is_alive(gaussians) & (opacities(gaussians) >= MIN_OPACITY)
     stays &= ~(jnp.asarray(prune_large) & too_large)
-    staying = jnp.sum(stays, dtype=jnp.int32)
-    candidates = stays & (statistics.error > 0)
-    splitting = _ranked(candidates, -statistics.error)
-    count = jnp.minimum(count, rows)
-    moving = (density.replace * count.astype(jnp.float32)).astype(jnp.int32)
-    births = jnp.clip(count + moving - staying, 0, jnp.sum(candidates, dtype=jnp.int32))
-    # What was in no view of late may be needed in the next.
-    expendable = stays & ~_marked(splitting, births) & (statistics.views > 0)
-    most = jnp.minimum(moving, jnp.sum(expendable, dtype=jnp.int32))
-    evicted = jnp.clip(staying + births - count, 0, most)
-    stays &= ~_marked(_ranked(expendable, statistics.weight), evicted)
-    births = jnp.minimum(births, count - staying + evicted)
-
-    turn = jnp.arange(rows, dtype=jnp.int32)
-    # Free rows in order of index: the j-th takes a half of the j-th that splits.
-    target = jnp.where(turn < births, _ranked(~stays, turn), rows)
-    source = turn.at[target].set(splitting, mode="drop")
-    is_child, is_parent = _marked(target, births), _marked(splitting, births)
-
-    logits = jnp.where(stays, gaussians.logit_opacities, DEAD_LOGIT)
-    moved = take(replace(gaussians, logit_opacities=logits), source)
+    splitting = _ranked(stays & (statistics.error > 0), -statistics.error)
+    stays, births = _make_room(stays, splitting, statistics, jnp.minimum(count, len(stays)), density.replace)
+    source, is_child, is_parent = assign_rows(splitting, stays, births)
+    moved = take(kill(gaussians, ~stays), source)
     is_half = is_child | is_parent
     halves = split_half(moved, jnp.where(is_child, 1.0, -1.0))
     densified = jax.tree.map(
         lambda half, whole: jnp.where(is_half.reshape(-1, *[1] * (whole.ndim - 1)), half, whole), halves, moved
     )
     return densified, Moves(source, is_half | ~is_alive(densified))
+
+
+def _make_room(
+    stays: Array, splitting: Array, statistics: ErrorStatistics, count: Array, share: float
+) -> tuple[Array, Array]:
+    """Which of those that stay do so once the least seen have made room, and how many of `splitting` split.
+
+    There are `count` then, of which a `share` moves.
+    """
+    moving = (share * count.astype(jnp.float32)).astype(jnp.int32)
+    staying = jnp.sum(stays, dtype=jnp.int32)
+    most = jnp.sum(stays & (statistics.error > 0), dtype=jnp.int32)
+    births = jnp.clip(count + moving - staying, 0, most)
+    # What was in no view of late may be needed in the next.
+    expendable = stays & ~mark(splitting, births) & (statistics.views > 0)
+    most = jnp.minimum(moving, jnp.sum(expendable, dtype=jnp.int32))
+    evicted = jnp.clip(staying + births - count, 0, most)
+    stays &= ~mark(_ranked(expendable, statistics.weight), evicted)
+    return stays, jnp.minimum(births, count - staying + evicted)
 
 
 def split_half(gaussians: Gaussians, side: Array) -> Gaussians:
@@ -157,9 +158,3 @@ def split_half(gaussians: Gaussians, side: Array) -> Gaussians:
 def _ranked(eligible: Array, order: Array) -> Array:
     """`[N]` int32 rows, the eligible ones first, by ascending `order`; the earlier row first among equals."""
     return jnp.lexsort((order, ~eligible)).astype(jnp.int32)
-
-
-def _marked(rows: Array, count: Array) -> Array:
-    """`[N]` bool: the first `count` of `rows`."""
-    is_marked = jnp.arange(len(rows), dtype=jnp.int32) < count
-    return jnp.zeros(len(rows), bool).at[jnp.where(is_marked, rows, len(rows))].set(True, mode="drop")

@@ -86,8 +86,12 @@ def wanted_count(
     """`[]` int32 Gaussians that the densification after this step requests; within the budget it gets them."""
     del step, budget
     alive = is_alive(gaussians)
-    mean = statistics.gradient / jnp.maximum(statistics.views, 1)
-    return jnp.sum(alive, dtype=jnp.int32) + jnp.sum(alive & (mean >= GRADIENT), dtype=jnp.int32)
+    grows = alive & (_mean_gradient(statistics) >= GRADIENT)
+    return jnp.sum(alive, dtype=jnp.int32) + jnp.sum(grows, dtype=jnp.int32)
+
+
+def _mean_gradient(statistics: GradientStatistics) -> Array:
+    return statistics.gradient / jnp.maximum(statistics.views, 1)
 
 
 def densify(
@@ -114,41 +118,57 @@ def densify(
         The Gaussians and how rows moved, for the optimiser's moments.
     """
     del count
-    capacity = gaussians.num_gaussians
-    largest = scales(gaussians).max(-1)
-    gradient = statistics.gradient / jnp.maximum(statistics.views, 1)
+    largest, gradient = scales(gaussians).max(-1), _mean_gradient(statistics)
     is_opaque = is_alive(gaussians) & (opacities(gaussians) >= MIN_OPACITY)
     wants = is_opaque & (gradient >= GRADIENT)
     splits = largest > DENSE_SHARE * extent
     # Growing changes no opacity and a size by a known factor. So what pruning would take afterwards, children and all,
     # is known now, and its row serves at once.
     to_be = jnp.where(wants & splits, largest / SPLIT, largest)
-    alive = is_opaque & ~(jnp.asarray(prune_large) & (to_be > MAX_SHARE * extent))
-    grows = alive & wants
-    # Free rows in order of index, growing Gaussians in order of gradient: the j-th of one takes the j-th of the other.
-    free_rows = jnp.argsort(alive, stable=True).astype(jnp.int32)
+    stays = is_opaque & ~(jnp.asarray(prune_large) & (to_be > MAX_SHARE * extent))
+    grows = stays & wants
     growers = jnp.argsort(jnp.where(grows, -gradient, jnp.inf)).astype(jnp.int32)
-    turn = jnp.arange(capacity, dtype=jnp.int32)
-    granted = turn < jnp.minimum(jnp.sum(~alive), jnp.sum(grows))
-    target = jnp.where(granted, free_rows, capacity)
-    source = turn.at[target].set(growers, mode="drop")
-    born = jnp.zeros(capacity, bool).at[target].set(True, mode="drop")
-    parent = jnp.zeros(capacity, bool).at[jnp.where(granted, growers, capacity)].set(True, mode="drop")
+    source, is_child, is_parent = assign_rows(growers, stays, jnp.minimum(jnp.sum(~stays), jnp.sum(grows)))
+    moved = take(kill(gaussians, ~stays), source)
+    is_half = splits[source] & (is_child | is_parent)
+    densified = _with_samples(moved, is_half, key)
+    return densified, Moves(source, is_child | is_half | ~is_alive(densified))
 
-    is_half = splits[source] & (born | parent)
-    logits = jnp.where(alive, gaussians.logit_opacities, DEAD_LOGIT)
-    moved = take(replace(gaussians, logit_opacities=logits), source)
+
+def assign_rows(growers: Array, stays: Array, count: Array) -> tuple[Array, Array, Array]:
+    """Give the first `count` of the rows `growers` `[N]` a second row each, of those that do not stay.
+
+    Growing rows are in their order, the others in that of index: the j-th of one takes the j-th of the other.
+
+    Returns:
+        `[N]` int32 rows that each row comes from; `[N]` bool, whether it is a second row, and whether it has one.
+    """
+    turn = jnp.arange(len(stays), dtype=jnp.int32)
+    free_rows = jnp.argsort(stays, stable=True).astype(jnp.int32)
+    target = jnp.where(turn < count, free_rows, len(stays))
+    source = turn.at[target].set(growers, mode="drop")
+    return source, mark(free_rows, count), mark(growers, count)
+
+
+def mark(rows: Array, count: Array) -> Array:
+    """`[N]` bool: the first `count` of `rows`, `[N]`."""
+    is_marked = jnp.arange(len(rows), dtype=jnp.int32) < count
+    return jnp.zeros(len(rows), bool).at[jnp.where(is_marked, rows, len(rows))].set(True, mode="drop")
+
+
+def _with_samples(gaussians: Gaussians, is_half: Array, key: Array) -> Gaussians:
+    """The Gaussians, halves `[N]` at samples of themselves and `SPLIT` times smaller."""
     offset = jnp.sum(
-        rotation_matrices(moved.quats)
-        * (scales(moved) * jax.random.normal(key, (capacity, 3), jnp.float32))[:, None, :],
+        rotation_matrices(gaussians.quats)
+        * (scales(gaussians) * jax.random.normal(key, gaussians.means.shape, jnp.float32))[:, None, :],
         axis=-1,
     )
-    densified = replace(
-        moved,
-        means=jnp.where(is_half[:, None], moved.means + offset, moved.means),
-        log_scales=jnp.where(is_half[:, None], moved.log_scales - jnp.log(jnp.float32(SPLIT)), moved.log_scales),
+    smaller = gaussians.log_scales - jnp.log(jnp.float32(SPLIT))
+    return replace(
+        gaussians,
+        means=jnp.where(is_half[:, None], gaussians.means + offset, gaussians.means),
+        log_scales=jnp.where(is_half[:, None], smaller, gaussians.log_scales),
     )
-    return densified, Moves(source, born | is_half | ~is_alive(densified))
 
 
 def reset_opacities(gaussians: Gaussians, limit: float) -> Gaussians:
