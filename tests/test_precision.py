@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxprs import equations
+from meshes import square
 from scenes import cloud as rasterizer_scene
 from scenes import loss
 from small_scenes import camera_at, cloud, photographed
@@ -25,7 +26,6 @@ from gsjax.meshing import density_field
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.cameras import center
-from gsjax.scene.meshes import Mesh
 from gsjax.settings import Density, Rates
 from gsjax.training.densification.rules import DENSIFICATION_RULES
 from gsjax.training.optimizers import make_optimizer
@@ -138,9 +138,7 @@ def stages_of_gsplat(scene):
 
 
 def bound_sheet():
-    corners = np.float32([[0, 0, 4], [1, 0, 4], [0, 1, 4], [1, 1, 4]])
-    mesh = Mesh(corners, np.int32([[0, 1, 2], [1, 3, 2]]), np.full((4, 3), 128, np.uint8))
-    return binding.bind(mesh, per_triangle=1, thickness=1e-3, sh_degree=0)
+    return binding.bind(square(1, height=4.0), per_triangle=1, thickness=1e-3, sh_degree=0)
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +37,6 @@ from gsjax.training.step import Background, Metrics, Outcome, guarded_step, weig
 from gsjax.training.stepping import TakeStep, advance, describe_fault
 from gsjax.training.terms import LossTerm, comparable_terms, needs
 from gsjax.training.terms.mesh import neighboring_faces
-from rasterizer import TilePairs
 
 WEIGHTS = MappingProxyType({**PLAIN, "normal_consistency": 0.1})
 """Weights of the loss terms that a refinement has unless it says otherwise."""
@@ -147,13 +146,8 @@ class RefineState:
     step: Array  # [] int32 steps done
 
 
-class RefineProgress(NamedTuple):
-    """What the loop reports after every step."""
-
-    step: int  # steps done
-    state: RefineState  # valid until the next step, which takes its buffers
-    metrics: Metrics
-    capacity: int  # of the pair buffer
+Observe = Callable[[int, RefineState, Metrics, int], None]
+"""(steps done, state, metrics, length of the pair buffer) -> None. The next step takes the buffers of the state."""
 
 
 def refine(
@@ -164,7 +158,7 @@ def refine(
     optimizer: optimizers.Optimizer,
     *,
     background: Background,
-    observe: Callable[[RefineProgress], None],
+    observe: Observe,
     move_mesh: Callable[[BoundGaussians], BoundGaussians] = lambda bound: bound,
     capacity: int | None = None,
 ) -> RefineState:
@@ -202,7 +196,7 @@ def refine(
     def after(step: int, state: RefineState, metrics: Metrics, capacity: int) -> RefineState:
         if step == settings.moving_steps < settings.steps:
             state = replace(state, gaussians=replace(state.gaussians, bound=move_mesh(state.gaussians.bound)))
-        observe(RefineProgress(step, state, metrics, capacity))
+        observe(step, state, metrics, capacity)
         return state
 
     state, _ = advance(
@@ -241,50 +235,35 @@ def make_refine_step(
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
     """
 
+    def loss(parameters: MixedGaussians, state: RefineState, face_pairs: Array, batch: Batch, color: Array):
+        gaussians = with_faces(parameters, state.gaussians.bound.faces)
+        view = view_with_mesh(
+            gaussians,
+            face_pairs,
+            batch.camera,
+            capacity=capacity,
+            background=backdrop.color_behind(color, batch.camera),
+            active_degree=active_degrees(gaussians, state.step // sh_every),
+            with_depth="depth" in needs(terms),
+        )
+        total, losses, error = weighted_loss(terms, None, gaussians, view, batch)
+        return total, (losses, error, view.splats.pairs)
+
     @partial(jax.jit, donate_argnums=1)
     def refine_step(face_pairs: Array, state: RefineState, target: Batch, key: Array):
-        loss = partial(_loss, terms, face_pairs, capacity, sh_every)
-        step = guarded_step(partial(_differentiate, loss), partial(_update, optimizer), background)
-        state, outcome = step(state, target, key)
+        def differentiate(state: RefineState, target: Batch, color: Array, key: Array):
+            del key
+            parameters, batch = with_faces(state.gaussians, None), batches.decode(target, color)
+            (total, (losses, error, pairs)), gradients = jax.value_and_grad(loss, has_aux=True)(
+                parameters, state, face_pairs, batch, color
+            )
+            metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
+            return gradients, Outcome(metrics, pairs.overflowed)
+
+        state, outcome = guarded_step(differentiate, partial(_update, optimizer), background)(state, target, key)
         return state, outcome.metrics
 
     return refine_step
-
-
-def _loss(
-    terms: Sequence[LossTerm],
-    face_pairs: Array,
-    capacity: int,
-    sh_every: int,
-    parameters: MixedGaussians,
-    state: RefineState,
-    batch: Batch,
-    color: Array,
-) -> tuple[Array, tuple[dict[str, Array], Array, TilePairs | None]]:
-    """The loss of one view; each of its terms, the mean squared error, and the lists of the view."""
-    gaussians = with_faces(parameters, state.gaussians.bound.faces)
-    view = view_with_mesh(
-        gaussians,
-        face_pairs,
-        batch.camera,
-        capacity=capacity,
-        background=backdrop.color_behind(color, batch.camera),
-        active_degree=active_degrees(gaussians, state.step // sh_every),
-        with_depth="depth" in needs(terms),
-    )
-    total, losses, error = weighted_loss(terms, None, gaussians, view, batch)
-    return total, (losses, error, view.splats.pairs)
-
-
-def _differentiate(
-    loss: Callable[..., Any], state: RefineState, target: Batch, color: Array, key: Array
-) -> tuple[MixedGaussians, Outcome]:
-    del key
-    (total, (losses, error, pairs)), gradients = jax.value_and_grad(loss, has_aux=True)(
-        with_faces(state.gaussians, None), state, batches.decode(target, color), color
-    )
-    metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
-    return gradients, Outcome(metrics, pairs.overflowed)
 
 
 def _update(

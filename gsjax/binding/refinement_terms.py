@@ -5,28 +5,20 @@ from functools import lru_cache
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from gsjax import rendering
-from gsjax.binding.bound import BoundGaussians
+from gsjax.binding.bound import bind
 from gsjax.binding.mixed_gaussians import MixedGaussians
 from gsjax.errors import InputError
 from gsjax.rendering import BoundMesh, View
 from gsjax.scene import Frame
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh
 from gsjax.training.terms import NEEDS, TERMS, LossTerm, Term, weigh_terms
-from gsjax.training.terms.checking import (
-    BANDS,
-    GAUSSIANS,
-    PAIRS,
-    ROWS,
-    Seen,
-    as_terms,
-    check_term,
-    shape,
-    shapes_of_step,
-)
+from gsjax.training.terms.checking import GAUSSIANS, PAIRS, ROWS, Seen, as_terms, check_term, shapes_of_step
 
 DATA = frozenset({"depth", "gaussians", "matte", "mesh"})
 """Words of `NEEDS`: what the steps of a refinement have."""
@@ -68,17 +60,9 @@ def view_with_mesh(gaussians: MixedGaussians, face_pairs: Array, camera: Camera,
 @lru_cache(maxsize=8)
 def _shapes(width: int, height: int) -> Seen:
     """All that any term of a refinement may read, as shapes: of as many triangles as free Gaussians."""
-    bound = BoundGaussians(
-        shape(ROWS, 3),
-        shape(ROWS, 2),
-        shape(ROWS, 2),
-        shape(ROWS),
-        shape(ROWS, 1, 3),
-        shape(ROWS, BANDS, 3),
-        shape(ROWS, 3, dtype=jnp.int32),
-        thickness=1e-6,
-        pixel_filter=GAUSSIANS.pixel_filter,
-    )
+    blank = np.zeros((ROWS, 3))
+    mesh = Mesh(blank.astype(np.float32), blank.astype(np.int32), blank.astype(np.uint8))
+    bound = bind(mesh, per_triangle=1, thickness=1e-6, pixel_filter=GAUSSIANS.pixel_filter)
 
     def render(gaussians: MixedGaussians, batch: Batch, color: Array) -> View:
         pairs = jnp.zeros((ROWS, 2), jnp.int32)

@@ -16,7 +16,7 @@ from gsjax import config, runs
 from gsjax.binding import refinement
 from gsjax.binding.bound import BoundGaussians, bind, to_mesh
 from gsjax.binding.mixed_gaussians import MixedGaussians, all_gaussians, with_free
-from gsjax.binding.refinement import Refinement, RefineProgress, RefineState
+from gsjax.binding.refinement import Refinement, RefineState
 from gsjax.binding.refinement_terms import check_terms, refinement_terms
 from gsjax.binding.uncovered import uncovered_gaussians
 from gsjax.effects.alignment import align
@@ -50,7 +50,7 @@ from gsjax.scene.batches import Batches, decode, read_batches
 from gsjax.scene.meshes import Mesh
 from gsjax.training.capacity import largest_need
 from gsjax.training.plan import phase_record, plan_record
-from gsjax.training.step import BACKGROUNDS
+from gsjax.training.step import BACKGROUNDS, Metrics
 from gsjax.training.terms import LossTerm, Term, needs
 
 LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps
@@ -297,12 +297,11 @@ class _RefinementJournal(Journal):
         super().__init__(folder, "refine", steps, step, seconds)
         self.recent: list[Array] = []  # PSNR of the views since the last line: single views differ by decibels
 
-    def note(self, progress: RefineProgress) -> None:
+    def note(self, step: int, state: RefineState, metrics: Metrics, capacity: int) -> None:
         self.bar.update()
-        self.recent.append(progress.metrics.psnr)
-        last = progress.step == self.steps
-        if progress.step % LOGGED_EVERY == 0 or last:
-            self.log(progress.step, progress.metrics, psnr=sum(map(float, self.recent)) / len(self.recent))
+        self.recent.append(metrics.psnr)
+        if step % LOGGED_EVERY == 0 or step == self.steps:
+            self.log(step, metrics, psnr=sum(map(float, self.recent)) / len(self.recent))
             self.recent = []
-        if progress.step % SAVED_EVERY == 0 or last:
-            self.save(progress.step, progress.state, progress.capacity)
+        if step % SAVED_EVERY == 0 or step == self.steps:
+            self.save(step, state, capacity)

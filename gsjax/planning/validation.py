@@ -14,11 +14,11 @@ from gsjax.metrics.images import in_decibels
 from gsjax.presets import QUICK
 from gsjax.scene import Frame
 from gsjax.settings import Settings, Supervision
-from gsjax.training.loop import Progress, Work, follow, kept_step
+from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
-from gsjax.training.step import TrainStep, make_train_step
+from gsjax.training.step import TrainStep, kept_step, make_train_step
 
 STEPS = 200  # of a validation run with densification
 SIDE = 160  # pixels of the longest photo, about

@@ -10,11 +10,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from jax import Array
 
 from gsjax.gaussians import DEAD_LOGIT, is_alive
 from gsjax.settings import Density
-from gsjax.training import optimizers
 from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.state import TrainState
@@ -61,7 +61,7 @@ def lengthen(state: TrainState, optimizer: Optimizer, rows: int) -> TrainState:
             quats=gaussians.quats.at[-extra:, 0].set(1.0),
             logit_opacities=gaussians.logit_opacities.at[-extra:].set(DEAD_LOGIT),
         ),
-        opt_state=optimizers.map_moments(state.opt_state, optimizer, zeros_after),
+        opt_state=optax.tree.map_params(optimizer, zeros_after, state.opt_state),
         statistics=jax.tree.map(zeros_after, state.statistics),
     )
 
@@ -83,7 +83,7 @@ def shorten(state: TrainState, optimizer: Optimizer, most: int) -> TrainState:
     return replace(
         state,
         gaussians=jax.tree.map(of_kept, state.gaussians),
-        opt_state=optimizers.map_moments(state.opt_state, optimizer, of_kept),
+        opt_state=optax.tree.map_params(optimizer, of_kept, state.opt_state),
         statistics=jax.tree.map(of_kept, state.statistics),
     )
 

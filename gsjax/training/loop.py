@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property, lru_cache, partial
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -21,7 +21,7 @@ from gsjax.training.densification.rules import DensificationRule
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.plan import Plan, PlannedPhase
 from gsjax.training.state import TrainState, cull, remove, reset_opacities
-from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
+from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, kept_step
 from gsjax.training.stepping import Feed, advance, describe_fault, one_view, several_views
 from gsjax.training.terms import LossTerm, comparable_terms
 from gsjax.training.terms.multi_view import with_neighbors
@@ -43,20 +43,6 @@ class Progress(NamedTuple):
     metrics: Metrics
     capacity: int  # of the pair buffer
     phase_done: bool  # this was the last step of its phase
-
-
-_shared_train_step = lru_cache(maxsize=32)(make_train_step)
-
-
-def kept_step(optimizer: Optimizer, terms: tuple[LossTerm, ...], *, effects: Effects, **how: Any) -> TrainStep:
-    """`make_train_step`, the same for the same arguments: the next run of this plan finds its programs compiled.
-
-    A term whose function is another is another argument. Effects have numbers of their run, so that steps with them
-    are made anew.
-    """
-    if effects:
-        return make_train_step(optimizer, terms, effects=effects, **how)
-    return _shared_train_step(optimizer, terms, **how)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """One Adam per field of the Gaussians, with the learning rates of 3DGS."""
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -121,11 +122,6 @@ def unless(skipped: Array, before: P, after: P) -> P:
     return jax.tree.map(lambda old, new: jnp.where(skipped, old, new), before, after)
 
 
-def map_moments(state: Any, optimizer: Optimizer, f) -> Any:
-    """Apply `f` to every moment array of an optimiser state (leading axis: Gaussians) and to nothing else."""
-    return optax.tree.map_params(optimizer, f, state)
-
-
 def zero_moments(opt_state: Any, *fields: str) -> Any:
     """Zero the moments of fields of `Gaussians`, such as "logit_opacities", in the state of `adam` or any of optax.
 
@@ -134,9 +130,10 @@ def zero_moments(opt_state: Any, *fields: str) -> Any:
     Raises:
         ValueError: `Gaussians` has no such field.
     """
+    arrays = sorted(each.name for each in dataclasses.fields(Gaussians) if not each.metadata.get("static"))
     for name in fields:
-        if name not in (arrays := Gaussians.__annotations__.keys() - {"pixel_filter"}):
-            raise ValueError(f"field {name!r} is none of {', '.join(sorted(arrays))}")
+        if name not in arrays:
+            raise ValueError(f"field {name!r} is none of {', '.join(arrays)}")
 
     def without(moments: Any) -> Any:
         if not isinstance(moments, Gaussians):
@@ -153,4 +150,4 @@ def rearrange_moments(state: Any, optimizer: Optimizer, source: Array, fresh: Ar
         keep = (~fresh).reshape(-1, *[1] * (moment.ndim - 1))
         return jnp.where(keep, moment[source], 0)
 
-    return map_moments(state, optimizer, rearranged)
+    return optax.tree.map_params(optimizer, rearranged, state)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -229,6 +229,22 @@ def make_train_step(
         return state, outcome.metrics
 
     return train_step
+
+
+_shared_train_step = lru_cache(maxsize=32)(make_train_step)
+
+
+def kept_step(
+    optimizer: optimizers.Optimizer, terms: tuple[LossTerm, ...], *, effects: Effects = NO_EFFECTS, **how: Any
+) -> TrainStep:
+    """`make_train_step`, the same for the same arguments: the next run of this plan finds its programs compiled.
+
+    A term whose function is another is another argument. Effects have numbers of their run, so that steps with them
+    are made anew.
+    """
+    if effects:
+        return make_train_step(optimizer, terms, effects=effects, **how)
+    return _shared_train_step(optimizer, terms, **how)
 
 
 def _update(

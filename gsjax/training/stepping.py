@@ -70,16 +70,17 @@ def one_view(data: Batches, seed: int, view_share: float) -> Callable[[int], Bat
     Where the views have neighbours, one of them is next to each.
     """
     fed = batches.feed(data, room=batches.device_room(view_share))
+    return lambda step: _joined(*fed(_views_of(data, seed, step), _views_of(data, seed, step + 1)))
 
-    def of_step(step: int) -> list[int]:
-        view = view_order(seed, step, data.num_views)
-        return [view] if data.neighbors is None else [view, draw_neighbor(data.neighbors[view], seed, step)]
 
-    def target(step: int) -> Batch:
-        here, *neighbor = fed(of_step(step), of_step(step + 1))
-        return replace(here, neighbor=neighbor[0]) if neighbor else here
+def _views_of(data: Batches, seed: int, place: int) -> list[int]:
+    """The view of a place in the order of `seed`, and its neighbour where views have some."""
+    view = view_order(seed, place, data.num_views)
+    return [view] if data.neighbors is None else [view, draw_neighbor(data.neighbors[view], seed, place)]
 
-    return target
+
+def _joined(view: Batch, neighbor: Batch | None = None) -> Batch:
+    return view if neighbor is None else replace(view, neighbor=neighbor)
 
 
 def several_views(
@@ -92,11 +93,7 @@ def several_views(
     del view_share
 
     def of_place(place: int) -> Batch:
-        view = view_order(seed, place, data.num_views)
-        target = data.views[view]
-        if data.neighbors is None:
-            return target
-        return replace(target, neighbor=data.views[draw_neighbor(data.neighbors[view], seed, place)])
+        return _joined(*(data.views[index] for index in _views_of(data, seed, place)))
 
     def stacked(step: int) -> Batch:
         places = range(step * views_per_step, (step + 1) * views_per_step)

@@ -18,7 +18,7 @@ from gsjax.training.densification import gradient_driven
 from gsjax.training.densification.rules import DENSIFICATION_RULES, DensificationRule
 from gsjax.training.optimizers import Optimizer
 from gsjax.training.state import TrainState
-from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
+from gsjax.training.step import BACKGROUNDS, Metrics, kept_step
 from gsjax.training.stepping import Program
 from gsjax.training.terms import TERMS, LossTerm, Term, needs, weigh_terms
 
@@ -157,8 +157,8 @@ class Step:
 
     def __init__(self, optimizer: Any, terms: tuple[LossTerm, ...], densification: Densification | None, **how: Any):
         """As `train_step` hands them over; `how` goes to `make_train_step`."""
-        self.optimizer, self.terms, self.densification, self.how = optimizer, terms, densification, how
-        self.needs = needs(terms)
+        self.optimizer, self.terms, self.densification = optimizer, terms, densification
+        self._compiled = lambda capacity: kept_step(optimizer, terms, capacity=capacity, **how)
         self._program: Program[TrainState] | None = None
 
     def __call__(self, state: TrainState, view: Batch, key: Array) -> tuple[TrainState, Metrics]:
@@ -181,13 +181,10 @@ class Step:
     def _check(self, view: Batch) -> None:
         fields = {"normals": view.normals, "measured": view.depth, "sky": view.sky, "neighbor": view.neighbor}
         fields["mesh"] = None  # Only a refinement has one.
-        for name in sorted(self.needs & fields.keys()):
+        for name in sorted(needs(self.terms) & fields.keys()):
             if fields[name] is None:
                 terms = ", ".join(each.name for each in self.terms if name in each.term.needs)
                 raise ValueError(f"{terms}: needs {name}, which this view does not have")
-
-    def _compiled(self, capacity: int) -> TrainStep:
-        return make_train_step(self.optimizer, self.terms, capacity=capacity, **self.how)
 
 
 def train_step(

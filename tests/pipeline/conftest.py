@@ -10,7 +10,7 @@ from trained_run import FEW_POINTS, MASK, SETTINGS
 from gsjax import config, pipeline, runs
 from gsjax.io.images import write_image
 from gsjax.runs import compilations
-from gsjax.training import loop
+from gsjax.training import step
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -39,7 +39,7 @@ def run(scene, tmp_path_factory) -> Path:
         assert newest is None or newest[0] < progress.step, "told before the checkpoint is written"
         steps.append(progress.step)
 
-    loop._shared_train_step.cache_clear()  # the run compiles, whatever tests came before
+    step._shared_train_step.cache_clear()  # the run compiles, whatever tests came before
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(compilations, "_SHORTEST", 0.0)  # one that the session's store answers counts as well
         summary = pipeline.train(scene, folder, SETTINGS, observe=observe)

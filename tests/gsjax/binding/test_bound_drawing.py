@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import mesh_of, square
 from small_scenes import camera_at
 
 from gsjax import rendering
@@ -25,10 +26,8 @@ def painted_plane(seed=0) -> Mesh:
     x, y = (axis.ravel() for axis in np.meshgrid(*[(np.arange(n) - n / 2) * EDGE] * 2))
     shift = rng.uniform(-0.3, 0.3, (2, n * n)) * EDGE
     vertices = np.stack([x + shift[0], y + shift[1], 0 * x], axis=-1).astype(np.float32)
-    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    faces = np.concatenate([np.stack([corner + k for k in ks], axis=-1) for ks in ((0, 1, n + 1), (0, n + 1, n))])
     shade = 127.5 + 100 * np.sin(2 * np.pi * vertices[:, 1:2] / WAVE)
-    return Mesh(vertices, faces.astype(np.int32), np.rint(np.repeat(shade, 3, axis=1)).astype(np.uint8))
+    return mesh_of(vertices, square(n - 1).faces, np.rint(shade))
 
 
 def camera_and_eye() -> tuple[Camera, np.ndarray]:

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import mesh_of
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
@@ -15,7 +16,6 @@ from gsjax.binding.editing import rebound, with_vertices
 from gsjax.binding.mixed_gaussians import all_gaussians, with_free
 from gsjax.errors import InputError
 from gsjax.gaussians import take
-from gsjax.scene.meshes import Mesh
 
 CAMERA = camera_at(size=(24, 24))
 WEIGHTS = np.random.default_rng(5).uniform(size=(24, 24, 3)).astype(np.float32)
@@ -23,8 +23,7 @@ WEIGHTS = np.random.default_rng(5).uniform(size=(24, 24, 3)).astype(np.float32)
 
 def tetrahedron():
     corners = np.array([[0, 0, -1.0], [1, 0, 0.6], [-0.6, 0.9, 0.5], [-0.5, -0.9, 0.6]]) + [0, 0, 4.0]
-    faces = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]])
-    return Mesh(corners.astype(np.float32), faces.astype(np.int32), np.full((4, 3), 90, np.uint8))
+    return mesh_of(corners, [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]])
 
 
 def bound_at():

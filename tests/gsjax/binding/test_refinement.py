@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import square, turned
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
@@ -39,13 +40,9 @@ def checkered(x, y):
 def relief(per_side: int, bumps: float) -> Mesh:
     """A wavy sheet about (0, 0, 4), its front towards the camera, painted by place; `bumps` displace its vertices."""
     rng = np.random.default_rng(0)
-    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, per_side)] * 2))
-    z = 4 + 0.25 * np.sin(2 * x) * np.cos(2 * y)
-    vertices = np.stack([x, y, z + bumps * rng.normal(size=z.shape)], axis=-1)
-    corner = (np.arange(per_side - 1)[:, None] * per_side + np.arange(per_side - 1)).ravel()
-    quads = [(0, per_side + 1, 1), (0, per_side, per_side + 1)]
-    faces = np.concatenate([np.stack([corner + k for k in quad], -1) for quad in quads])
-    return Mesh(vertices.astype(np.float32), faces.astype(np.int32), checkered(x, y))
+    x, y = np.meshgrid(*[np.linspace(-1, 1, per_side)] * 2)
+    z = 4 + 0.25 * np.sin(2 * x) * np.cos(2 * y) + bumps * rng.normal(size=x.shape)
+    return turned(square(per_side - 1, -1, 1, height=z, color=checkered(x, y).reshape(-1, 3)))
 
 
 @pytest.fixture(scope="module")
@@ -65,34 +62,24 @@ def scene():
 def started(scene, free=None):
     bound = bind(scene.rough, per_triangle=1, thickness=SETTINGS.thickness * EXTENT, sh_degree=0)
     optimizer = refinement.make_optimizer(SETTINGS, EXTENT, scene.rough.num_vertices)
-    return refinement.initial_state(
-        MixedGaussians(bound) if free is None else with_free(bound, free), optimizer
-    ), optimizer
+    gaussians = MixedGaussians(bound) if free is None else with_free(bound, free)
+    return refinement.initial_state(gaussians, optimizer), optimizer
 
 
 @pytest.fixture(scope="module")
 def whole(scene):
     progress, refined = [], []
 
-    def observe(one):
-        progress.append(one._replace(state=jax.tree.map(np.array, one.state)))
+    def observe(step, state, metrics, capacity):
+        progress.append(SimpleNamespace(state=jax.tree.map(np.array, state), metrics=metrics))
 
     def raised(bound):
         refined.append(bound)
         return replace(bound, vertices=bound.vertices + RAISED)
 
     state, optimizer = started(scene)
-    final = refinement.refine(
-        SETTINGS,
-        weigh_terms(SETTINGS.weights),
-        scene.data,
-        state,
-        optimizer,
-        background=BACKGROUNDS["black"],
-        observe=observe,
-        move_mesh=raised,
-        capacity=CAPACITY,
-    )
+    how = {"background": BACKGROUNDS["black"], "observe": observe, "move_mesh": raised, "capacity": CAPACITY}
+    final = refinement.refine(SETTINGS, weigh_terms(SETTINGS.weights), scene.data, state, optimizer, **how)
     return SimpleNamespace(final=jax.tree.map(np.asarray, final), progress=progress, refined=refined)
 
 
@@ -190,7 +177,7 @@ def test_a_term_whose_gradient_is_not_finite_is_named_with_its_step_and_photo(sc
 
     monkeypatch.setattr(refinement, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
-    how = {"background": BACKGROUNDS["black"], "observe": lambda progress: None, "capacity": CAPACITY}
+    how = {"background": BACKGROUNDS["black"], "observe": lambda *_: None, "capacity": CAPACITY}
     name = scene.frames[view_order(SETTINGS.seed, 0, len(scene.frames))].name
     with pytest.raises(InputError, match=f"^step 1, photo {name}: the gradient of the loss term 'dssim' is not finite"):
         settings, terms = replace(SETTINGS, steps=1), weigh_terms(SETTINGS.weights)

@@ -12,7 +12,7 @@ from gsjax.planning.sparse_view_validation import FEWEST_FOLDS, FOLDS, Score, ga
 from gsjax.scene import Pixels, Tracks, frame_of, with_pixels
 from gsjax.scene.cameras import Camera
 from gsjax.settings import Model, Phase, Schedule, Settings
-from gsjax.training import loop
+from gsjax.training import step
 
 SETTINGS = Settings(
     model=Model(background="white", sh_degree=1), schedule=Schedule(phases=(Phase("vanilla", 900),), sparse_views=True)
@@ -42,14 +42,14 @@ def forgetful(plan):
 
 @pytest.mark.usefixtures("short")
 def test_the_worse_way_loses_the_same_way_gains_nothing_and_runs_of_one_way_share_their_programs(scene, monkeypatch):
-    """All that a program is kept by (`gsjax.training.loop.kept_step`) is the same, but for the pairs' buffer."""
-    original, calls = loop._shared_train_step, []
+    """All that a program is kept by (`gsjax.training.step.kept_step`) is the same, but for the pairs' buffer."""
+    original, calls = step._shared_train_step, []
 
     def noted(*arguments, capacity, **how):
         calls.append((arguments, tuple(how.items())))
         return original(*arguments, capacity=capacity, **how)
 
-    monkeypatch.setattr(loop, "_shared_train_step", noted)
+    monkeypatch.setattr(step, "_shared_train_step", noted)
     masked = with_pixels(scene.frames[0], scene.frames[0].pixels()._replace(valid=np.zeros((40, 48), np.uint8)))
     same = gain(replace(scene, frames=(masked, *scene.frames[1:])), SETTINGS, lambda plan: plan)
     assert same == (0.0, 0.0, None, None), "no photo of this scene has matched points"

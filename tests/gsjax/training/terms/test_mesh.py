@@ -4,19 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from meshes import square
 from tolerances import assert_close
 
 from gsjax.rendering import BoundMesh
 from gsjax.training.terms.mesh import neighboring_faces, normal_consistency
-
-
-def grid(rng):
-    """A bumpy square of 4 by 4 vertices."""
-    x, y = np.meshgrid(np.arange(4.0), np.arange(4.0))
-    vertices = np.stack([x.ravel(), y.ravel(), 0.4 * rng.normal(size=16)], axis=-1).astype(np.float32)
-    corner = (np.arange(3)[:, None] * 4 + np.arange(3)).ravel()
-    faces = np.concatenate([np.stack(corner + np.array(k)[:, None], -1) for k in ((0, 1, 5), (0, 5, 4))])
-    return vertices, faces.astype(np.int32)
 
 
 @jax.jit
@@ -41,7 +33,8 @@ def by_numpy(vertices, faces):
 
 
 def test_normal_consistency_is_the_mean_over_neighbours_and_zero_on_a_plane():
-    vertices, faces = grid(np.random.default_rng(0))
+    bumpy = square(3, height=0.4 * np.random.default_rng(0).normal(size=(4, 4)))
+    vertices, faces = bumpy.vertices, bumpy.faces
     assert_close(consistency(vertices, faces), by_numpy(vertices, faces))
     assert by_numpy(vertices, faces) > 0.05
     flat = vertices * [1, 1, 0] @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
