@@ -33,7 +33,7 @@ from gsjax.scene.batches import Batch, Batches
 from gsjax.settings import OPACITY_RATE, PLAIN, Rates, Weights, check_lowest, check_seed
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
-from gsjax.training.step import Background, Metrics, Outcome, guarded_step, weighted_loss
+from gsjax.training.step import Background, Metrics, guarded_step, weighted_loss
 from gsjax.training.stepping import TakeStep, advance, describe_fault
 from gsjax.training.terms import LossTerm, comparable_terms, needs
 from gsjax.training.terms.mesh import neighboring_faces
@@ -257,19 +257,17 @@ def make_refine_step(
             (total, (losses, error, pairs)), gradients = jax.value_and_grad(loss, has_aux=True)(
                 parameters, state, face_pairs, batch, color
             )
-            metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
-            return gradients, Outcome(metrics, pairs.overflowed)
+            return gradients, Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses), None
 
-        state, outcome = guarded_step(differentiate, partial(_update, optimizer), background)(state, target, key)
-        return state, outcome.metrics
+        return guarded_step(differentiate, partial(_update, optimizer), background)(state, target, key)
 
     return refine_step
 
 
 def _update(
-    optimizer: optimizers.Optimizer, state: RefineState, gradients: MixedGaussians, outcome: Outcome, skipped: Array
+    optimizer: optimizers.Optimizer, state: RefineState, gradients: MixedGaussians, statistics: None, skipped: Array
 ) -> RefineState:
-    del outcome
+    del statistics
     parameters = with_faces(state.gaussians, None)
     parameters, opt_state = optimizers.apply_gradients(parameters, state.opt_state, optimizer, gradients, skipped)
     step = jnp.where(skipped, state.step, state.step + 1)

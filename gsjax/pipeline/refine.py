@@ -169,8 +169,11 @@ def _run_folder(task: _Task, out: str | Path, *, resume: bool) -> Path:
     record = {**task.trained.settings, "mesh": str(task.source.resolve()), "refinement": config.to_dict(settings)}
     if resume:
         return runs.reopen(out, record, scene=scene.root)
-    about = {"similarity": scene.similarity, "place": scene.place, "split": split_of(scene.frames)}
-    return runs.create(out, record, scene=scene.root, seed=settings.seed, plan=_plan(task), **about)
+    terms = {each.name: each.weight for each in task.terms}
+    phase = phase_record("refine", settings.steps, terms, needs(task.terms), begin=0, end=settings.steps)
+    plan = plan_record([phase], task.trained.downscale, None)
+    about = {"similarity": scene.similarity, "place": scene.place, "split": split_of(scene.frames), "plan": plan}
+    return runs.create(out, record, scene=scene.root, seed=settings.seed, **about)
 
 
 def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
@@ -207,13 +210,6 @@ def _fit(task: _Task, folder: Path) -> tuple[MixedGaussians, dict[str, Any]]:
         )
     summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": task.taken_out}
     return state.gaussians, summary | {"photo_refine": photo_report or None}
-
-
-def _plan(task: _Task) -> dict[str, Any]:
-    """What will run, as `plan.json` has it."""
-    terms, steps = {each.name: each.weight for each in task.terms}, task.settings.steps
-    phase = phase_record("refine", steps, terms, needs(task.terms), begin=0, end=steps)
-    return plan_record([phase], task.trained.downscale, None)
 
 
 def prepare_mesh(original: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -164,10 +164,6 @@ class PhaseRun:
             explain=self._explain,
         )
 
-    @cached_property
-    def _key(self) -> Array:
-        return jax.random.key(self.work.plan.seed)
-
     def _step_of(self, terms: tuple[LossTerm, ...], capacity: int) -> TrainStep:
         work, phase, plan = self.work, self.phase, self.work.plan
         return work.make_step(
@@ -203,7 +199,7 @@ class PhaseRun:
         work, phase, plan = self.work, self.phase, self.work.plan
         is_last = step == phase.end
         if phase.rule:
-            state = _densify_when_due(work, phase.rule, step, state, self._key)
+            state = _densify_when_due(work, phase.rule, step, state)
         if is_last and phase.cull_below > 0:
             state = cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
         if _ends_densification(plan, phase, step) or (is_last and phase.cull_below > 0):
@@ -261,10 +257,10 @@ def _ends_densification(plan: Plan, phase: PlannedPhase, step: int) -> bool:
     return phase.rule is not None and step in ends and step < plan.steps
 
 
-def _densify_when_due(work: Work, rule: DensificationRule, step: int, state: TrainState, key: Array) -> TrainState:
+def _densify_when_due(work: Work, rule: DensificationRule, step: int, state: TrainState) -> TrainState:
     plan, density = work.plan, work.plan.density
     if gradient_driven.densifies(density, step):
-        how = Densification(rule, density, work.extent)
+        how, key = Densification(rule, density, work.extent), jax.random.key(plan.seed)
         state = densify_within(state, work.optimizer, how, key, step=step, budget=plan.max_gaussians)
     if gradient_driven.resets_opacities(density, step, plan.background):
         state = reset_opacities(state, limit=gradient_driven.RESET_OPACITY)

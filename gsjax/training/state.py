@@ -86,7 +86,8 @@ def densify(
 @partial(jax.jit, static_argnames="limit", donate_argnums=0)
 def reset_opacities(state: TrainState, *, limit: float) -> TrainState:
     """Cap the opacities at `limit` and zero their moments. The state is donated, see `densify`."""
-    gaussians = gradient_driven.reset_opacities(state.gaussians, limit)
+    logit = jnp.log(jnp.float32(limit / (1 - limit)))  # Dead rows are below it, and stay dead.
+    gaussians = replace(state.gaussians, logit_opacities=jnp.minimum(state.gaussians.logit_opacities, logit))
     opt_state = optimizers.zero_moments(state.opt_state, "logit_opacities")
     return replace(state, gaussians=gaussians, opt_state=opt_state)
 
@@ -94,16 +95,12 @@ def reset_opacities(state: TrainState, *, limit: float) -> TrainState:
 @partial(jax.jit, static_argnames=("optimizer", "min_opacity"), donate_argnums=0)
 def cull(state: TrainState, *, optimizer: Optimizer, min_opacity: float) -> TrainState:
     """Free the rows of an opacity under `min_opacity`; other moments stay. The state is donated, see `densify`."""
-    return _with_fewer(state, opacities(state.gaussians) < min_opacity, optimizer)
+    return remove(state, opacities(state.gaussians) < min_opacity, optimizer=optimizer)
 
 
 @partial(jax.jit, static_argnames="optimizer", donate_argnums=0)
 def remove(state: TrainState, mask: Array, *, optimizer: Optimizer) -> TrainState:
     """Free the rows of `mask`, `[N]` bool; other moments stay. The state is donated, see `densify`."""
-    return _with_fewer(state, mask, optimizer)
-
-
-def _with_fewer(state: TrainState, mask: Array, optimizer: Optimizer) -> TrainState:
     gaussians = gradient_driven.kill(state.gaussians, mask)
     rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
     opt_state = optimizers.rearrange_moments(state.opt_state, optimizer, rows, ~is_alive(gaussians))

@@ -27,6 +27,7 @@ from gsjax.training.terms import LossTerm, multi_view, needs
 
 S = TypeVar("S")  # a state of training: a pytree with a field `step`
 G = TypeVar("G")  # gradients to what of it is trained
+T = TypeVar("T")  # what an update reads in addition to them
 
 
 class Metrics(NamedTuple):
@@ -38,14 +39,6 @@ class Metrics(NamedTuple):
     overflowed: Array  # the capacity was too short: the state was left as it was
     terms: dict[str, Array]
     finite: Array | bool = True  # loss and gradients are, or the state was left as it was
-
-
-class Outcome(NamedTuple):
-    """What one view, or several, yields in addition to the gradients."""
-
-    metrics: Metrics
-    overflowed: Array  # a buffer of any kind was too short: gradients and metrics are of a wrong image
-    statistics: Any = None  # what the update reads in addition to the gradients
 
 
 TrainStep = Callable[[TrainState, Batch, Array], tuple[TrainState, Metrics]]
@@ -62,30 +55,29 @@ BACKGROUNDS: dict[str, Background] = {
 
 
 def guarded_step(
-    differentiate: Callable[[S, Batch, Array, Array], tuple[G, Outcome]],
-    update: Callable[[S, G, Outcome, Array], S],
+    differentiate: Callable[[S, Batch, Array, Array], tuple[G, Metrics, T]],
+    update: Callable[[S, G, T, Array], S],
     background: Background,
-) -> Callable[[S, Batch, Array], tuple[S, Outcome]]:
+) -> Callable[[S, Batch, Array], tuple[S, Metrics]]:
     """A step that leaves the state as it was where a buffer overflowed, or where loss or gradients are not finite.
 
     After an overflow the host makes room and repeats the step. After the other it stops.
 
     Args:
-        differentiate: (state, target, colour under the image, key of this step) -> gradients of the loss, and what the
-            view showed.
-        update: (state, gradients, outcome, skipped) -> the state after the step, as it was where `skipped`.
+        differentiate: (state, target, colour under the image, key of this step) -> gradients of the loss, metrics, and
+            statistics that the update reads in addition.
+        update: (state, gradients, statistics, skipped) -> the state after the step, as it was where `skipped`.
         background: Colour under the images.
     """
 
-    def step(state: S, target: Batch, key: Array) -> tuple[S, Outcome]:
+    def step(state: S, target: Batch, key: Array) -> tuple[S, Metrics]:
         key = jax.random.fold_in(key, state.step)  # pyright: ignore[reportAttributeAccessIssue]
-        gradients, outcome = differentiate(state, target, background(key), key)
-        finite = rasterizer.all_finite((outcome.metrics.loss, gradients))
-        outcome = outcome._replace(metrics=outcome.metrics._replace(finite=finite))
-        skipped = outcome.overflowed | ~finite
+        gradients, metrics, statistics = differentiate(state, target, background(key), key)
+        finite = rasterizer.all_finite((metrics.loss, gradients))
+        skipped = metrics.overflowed | ~finite
         if target.turn is not None:  # An earlier step overflowed, which the host did not know yet.
             skipped |= state.step != target.turn  # pyright: ignore[reportAttributeAccessIssue]
-        return update(state, gradients, outcome, skipped), outcome
+        return update(state, gradients, statistics, skipped), metrics._replace(finite=finite)
 
     return step
 
@@ -115,30 +107,28 @@ class _Objective:
     extent: float
     dropout: float
 
-    def one_view(self, state: TrainState, target: Batch, color: Array, key: Array) -> tuple[_Free, Outcome]:
-        """What a step over one view needs, see `guarded_step`."""
-        gradients, metrics, statistics = self._look(state, state.statistics, target, color, key)
-        return gradients, Outcome(metrics, metrics.overflowed, statistics)
+    def one_view(self, state: TrainState, target: Batch, color: Array, key: Array) -> tuple[_Free, Metrics, Any]:
+        """Gradients of the loss of one view, its metrics, and the statistics of densification with this view."""
+        return self._add_view(state.statistics, state, target, color, key)
 
-    def several_views(self, state: TrainState, views: Batch, color: Array, key: Array) -> tuple[_Free, Outcome]:
-        """What a step over the stacked views of all devices needs: means of gradients, sums of statistics."""
+    def several_views(self, state: TrainState, views: Batch, color: Array, key: Array) -> tuple[_Free, Metrics, Any]:
+        """The same of the stacked views of all devices: means of gradients and metrics, sums of statistics."""
 
         def add_view(sums: tuple[_Free, Any], target: Batch):
-            gradients, metrics, statistics = self._look(state, sums[1], target, color, key)
+            gradients, metrics, statistics = self._add_view(sums[1], state, target, color, key)
             return (jax.tree.map(jnp.add, sums[0], gradients._replace(probe=None)), statistics), metrics
 
         zeros = jax.tree.map(jnp.zeros_like, (_free(state), state.statistics))
         sums, of_views = jax.lax.scan(add_view, zeros, views)
         gradients, added = jax.lax.psum(sums, data_parallel.AXIS)
         count = of_views.loss.shape[0] * jax.lax.axis_size(data_parallel.AXIS)
-        metrics = _of_all_views(of_views, self.capacity)
+        gradients = jax.tree.map(lambda total: total / count, gradients)
         statistics = jax.tree.map(jnp.add, state.statistics, added)
-        return jax.tree.map(lambda total: total / count, gradients), Outcome(metrics, metrics.overflowed, statistics)
+        return gradients, _of_all_views(of_views, self.capacity), statistics
 
-    def _look(
-        self, state: TrainState, statistics: Any, target: Batch, color: Array, key: Array
+    def _add_view(
+        self, statistics: Any, state: TrainState, target: Batch, color: Array, key: Array
     ) -> tuple[_Free, Metrics, Any]:
-        """Gradients of the loss of one view, its metrics, and the statistics of densification with this view."""
         batch = batches.decode(target, color)
         has_neighbor = "neighbor" in needs(self.terms) and target.neighbor
         neighbor = batches.decode(target.neighbor, color) if has_neighbor else None
@@ -225,8 +215,7 @@ def make_train_step(
 
     @partial(jax.jit, donate_argnums=0)
     def train_step(state: TrainState, target: Batch, key: Array) -> tuple[TrainState, Metrics]:
-        state, outcome = step(state, target, key)
-        return state, outcome.metrics
+        return step(state, target, key)
 
     return train_step
 
@@ -252,14 +241,14 @@ def _update(
     effects: Effects,
     state: TrainState,
     gradients: _Free,
-    outcome: Outcome,
+    statistics: Any,
     skipped: Array,
 ) -> TrainState:
     gaussians, opt_state = optimizers.apply_gradients(
         state.gaussians, state.opt_state, optimizer, gradients.gaussians, skipped
     )
     before = state.statistics, state.step, state.effects
-    after = outcome.statistics, state.step + 1, simulation.update_effects(effects, state.effects, gradients.numbers)
+    after = statistics, state.step + 1, simulation.update_effects(effects, state.effects, gradients.numbers)
     statistics, step, looks = optimizers.unless(skipped, before, after)
     return replace(state, gaussians=gaussians, opt_state=opt_state, statistics=statistics, step=step, effects=looks)
 

@@ -171,12 +171,6 @@ def _with_samples(gaussians: Gaussians, is_half: Array, key: Array) -> Gaussians
     )
 
 
-def reset_opacities(gaussians: Gaussians, limit: float) -> Gaussians:
-    """Opacities capped at `limit`; dead rows stay dead."""
-    logit = jnp.log(jnp.float32(limit / (1 - limit)))
-    return replace(gaussians, logit_opacities=jnp.minimum(gaussians.logit_opacities, logit))
-
-
 def kill(gaussians: Gaussians, mask: Array) -> Gaussians:
     """Kill the Gaussians of `mask`, `[N]` bool."""
     return replace(gaussians, logit_opacities=jnp.where(mask, DEAD_LOGIT, gaussians.logit_opacities))

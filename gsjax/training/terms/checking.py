@@ -154,27 +154,12 @@ def shapes_of_step(
 @lru_cache(maxsize=8)
 def shapes_of_training(width: int, height: int, depth_mode: DepthReading = "plane") -> Seen:
     """All that any term of a training may read, as shapes."""
+    how = {"capacity": PAIRS, "with_depth": True, "depth_mode": depth_mode, "with_axes": True}
 
     def render(gaussians: Gaussians, batch: Batch, color: Array) -> View:
-        view = rendering.render(
-            gaussians,
-            batch.camera,
-            capacity=PAIRS,
-            background=color,
-            with_depth=True,
-            depth_mode=depth_mode,
-            with_axes=True,
-        )
+        view = rendering.render(gaussians, batch.camera, background=color, **how)
         return view._replace(neighbor=render_neighbor(gaussians, batch, PAIRS, depth_mode))
 
-    return shapes_of_step(
-        GAUSSIANS,
-        render,
-        width,
-        height,
-        normals=shape(height, width, 3, dtype=jnp.int8),
-        depth=shape(height, width),
-        trust=shape(height, width, dtype=jnp.uint8),
-        photo=shape(dtype=jnp.int32),
-        sky=shape(height, width, dtype=bool),
-    )
+    normals, trust = shape(height, width, 3, dtype=jnp.int8), shape(height, width, dtype=jnp.uint8)
+    maps = {"normals": normals, "depth": shape(height, width), "trust": trust, "photo": shape(dtype=jnp.int32)}
+    return shapes_of_step(GAUSSIANS, render, width, height, sky=shape(height, width, dtype=bool), **maps)

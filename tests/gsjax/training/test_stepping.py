@@ -10,7 +10,7 @@ from gsjax.errors import InputError
 from gsjax.scene import batches
 from gsjax.training import stepping
 from gsjax.training.optimizers import unless
-from gsjax.training.step import BACKGROUNDS, Metrics, Outcome, guarded_step
+from gsjax.training.step import BACKGROUNDS, Metrics, guarded_step
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +41,12 @@ def toy_program(look):
 
     def differentiate(state, target, color, key):
         gradient, needed, overflowed = look(state, target, color, key)
-        return gradient, Outcome(Metrics(color[0], color[0], needed, overflowed, {}), jnp.asarray(overflowed))
+        return gradient, Metrics(color[0], color[0], needed, jnp.asarray(overflowed), {}), None
 
-    def update(state, gradient, outcome, skipped):
+    def update(state, gradient, statistics, skipped):
         return unless(skipped, state, Toy(state.step + 1, state.memory * 0.9 + gradient))
 
-    step = guarded_step(differentiate, update, BACKGROUNDS["white"])
-    return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))
+    return jax.jit(guarded_step(differentiate, update, BACKGROUNDS["white"]))
 
 
 def toy_steps(data, capacity, **how):
