@@ -27,7 +27,7 @@ from gsjax.scene.meshes import Mesh
 from gsjax.settings import Model, Photos, Settings
 
 SETTINGS = Refinement(
-    steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, photo_refine_at=0.75, weights={"edges": 0.1}
+    steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, photo_refine_at=0.75, weights={"edges": 0.1, "far": 1e-3}
 )
 BOUND = 54  # three on each of 18 triangles
 
@@ -36,6 +36,9 @@ def edges(gaussians, view, batch):
     """Mean squared difference of corners, over edges and axes: a term of one's own."""
     corners = view.mesh.vertices[view.mesh.faces]
     return jnp.mean(jnp.square(corners - jnp.roll(corners, 1, axis=1)))
+
+
+TERMS = {"edges": edges, "far": lambda gaussians, view, batch: jnp.max(view.depth)}
 
 
 def sheet(depth=4.0) -> Mesh:
@@ -73,7 +76,7 @@ def refined(place):
         patched.setitem(pipeline.refine.__globals__, "SAVED_EVERY", 2)
         read = []
         patched.setattr(photos, "read_image", lambda path: read.append(path.name) or read_image(path))
-        report = pipeline.refine(place.run, out, SETTINGS, terms={"edges": edges})
+        report = pipeline.refine(place.run, out, SETTINGS, terms=TERMS)
         return SimpleNamespace(out=out, report=report, read=read)
 
 
@@ -105,8 +108,9 @@ def test_a_term_of_ones_own_is_evaluated_and_recorded(refined):
     a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.faces], 1, 0)
     last = runs.read_metrics(refined.out)[-1]
     assert last["terms"]["edges"] == pytest.approx(np.mean([(a - b) ** 2, (b - c) ** 2, (c - a) ** 2]), rel=1e-5)
+    assert 3.5 < last["terms"]["far"] < 5, "all is about 4 away"
     (phase,) = json_files.read(refined.out / "plan.json")["phases"]
-    assert (phase["terms"]["edges"], phase["needs"]) == (0.1, ["gaussians", "matte", "mesh"])
+    assert (phase["terms"]["edges"], phase["needs"]) == (0.1, ["depth", "gaussians", "matte", "mesh"])
 
 
 def test_the_parts_of_a_mesh_stay_and_what_goes_is_said(capsys):
@@ -155,13 +159,13 @@ def test_a_stopped_refinement_goes_on_to_the_same_bytes(place, refined, tmp_path
     for left_by_the_end in ("mesh.ply", "gaussians.ply", "checkpoints/step_0000004.npz"):
         (out / left_by_the_end).unlink()
     assert runs.latest_checkpoint(out)[0] == 2
-    with pytest.raises(InputError, match=r"was started with terms=\{edges\}, not with no terms="):
+    with pytest.raises(InputError, match=r"was started with terms=\{edges, far\}, not with no terms="):
         pipeline.refine(place.run, out, SETTINGS, resume=True)
-    pipeline.refine(place.run, out, SETTINGS, terms={"edges": edges}, resume=True)
+    pipeline.refine(place.run, out, SETTINGS, terms=TERMS, resume=True)
     for name in ("mesh.ply", "gaussians.ply"):
         assert (out / name).read_bytes() == (refined.out / name).read_bytes()
     with pytest.raises(InputError, match="refinement.steps = 4, not 5; a resumed run keeps its settings"):
-        pipeline.refine(place.run, out, replace(SETTINGS, steps=5), terms={"edges": edges}, resume=True)
+        pipeline.refine(place.run, out, replace(SETTINGS, steps=5), terms=TERMS, resume=True)
 
 
 def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, tmp_path, capsys):
