@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 from gsjax.config import declare_types, parse_numbers, refuse_moved
 
@@ -143,26 +143,16 @@ class Logging:
         check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
 
-class EffectKind(NamedTuple):
-    """How an effect is treated; the module of its name in `gsjax.effects` has its `judge`, and its `simulate`."""
-
-    is_simulated: bool = True  # training learns its numbers
-    is_proposed: bool = True  # "auto" may enable it
-    on_evidence: bool = False  # a run that is too short for validation simulates it on evidence alone
-    per_photo: bool = False  # a checkpoint has one row for each training photo
-
-
-EFFECTS: Mapping[str, EffectKind] = {
-    "exposure": EffectKind(on_evidence=True, per_photo=True),
-    "vignetting": EffectKind(),
-    "poses": EffectKind(on_evidence=True, per_photo=True),
-    "sky": EffectKind(is_simulated=False),  # a term of the loss, and a background
-    "background": EffectKind(),
-    "transients": EffectKind(),
-    "blur": EffectKind(is_simulated=False, is_proposed=False),  # photos are left out
+EFFECTS: Mapping[str, str] = {
+    "exposure": "gsjax.effects.exposure",
+    "vignetting": "gsjax.effects.vignetting",
+    "poses": "gsjax.effects.poses",
+    "sky": "gsjax.effects.sky",
+    "background": "gsjax.effects.background",
+    "transients": "gsjax.effects.transients",
+    "blur": "gsjax.effects.blur",
 }
-"""The effects by name, in the order in which they are validated."""
-SIMULATED = tuple(name for name, kind in EFFECTS.items() if kind.is_simulated)
+"""The effects in the order in which they are validated -> module with the `EFFECT`, a `gsjax.effects.kinds` record."""
 AUTO, NONE = "auto", "none"
 
 

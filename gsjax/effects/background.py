@@ -2,22 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import optax
 
-from gsjax.effects import sky
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects import parallax, sky
+from gsjax.effects.evidence import Evidence, Findings, Masks, unknown
+from gsjax.effects.kinds import EffectKind, PhotoSet
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
-from gsjax.effects.sky import Masks
 from gsjax.rendering import backdrop
 from gsjax.scene import Frame
-
-if TYPE_CHECKING:
-    from gsjax.effects.appearance import Start
-    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
@@ -28,9 +24,9 @@ _WHITE, _MOSTLY = 254.5, 0.9  # of every channel, of 255; of the places
 _ONE_COLOR = 0.02  # standard deviation over the photos, and within them
 
 
-def judge(findings: "Findings") -> Evidence:
+def judge(findings: Findings) -> Evidence:
     """Judge whether light comes from no surface: much is bright, smooth and unmatched, and no wall explains it."""
-    observations, compared = findings.observations, findings.bare
+    observations = findings.observations
     if any(facts.has_matte for facts in observations.facts):
         note = "the photos have mattes, for which model.background=random serves"
         return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, note)
@@ -48,6 +44,9 @@ def judge(findings: "Findings") -> Evidence:
     channels = ", ".join(f"{channel:.2f}" for channel in mean)
     note += f"; colour {channels}, " + ("the same in all photos" if spread < _ONE_COLOR else f"+-{spread:.2f}")
     is_white = _is_white(observations)
+    compared = findings.of_masks
+    if not sky.judge(findings).on:
+        compared = parallax.compare(observations, _bare_regions(observations), findings.gains)
     far = 0.0 if compared is None else sky.score(compared)
     note += "; pure white" if is_white else f"; a wall explains it x{far:.2f} as badly as infinity"
     is_on = is_white or far > sky.THRESHOLD
@@ -56,12 +55,11 @@ def judge(findings: "Findings") -> Evidence:
     return Evidence(is_on, value, "share of photos", noise, THRESHOLD, note, is_certain=is_white)
 
 
-def bare_regions(observations: Observations) -> dict[int, np.ndarray]:
+def _bare_regions(observations: Observations) -> dict[int, np.ndarray]:
     """Index of a photo -> `[h, w]` bool on the grid of `PhotoFacts.light`: what is bright, smooth and unmatched."""
-    is_open = [facts.sky_share > OPEN for facts in observations.facts]
-    if np.mean(is_open) <= THRESHOLD or _is_white(observations):
+    if _is_white(observations):
         return {}  # decided without
-    return {index: facts.bare for index, facts in enumerate(observations.facts) if is_open[index]}
+    return {index: facts.bare for index, facts in enumerate(observations.facts) if facts.sky_share > OPEN}
 
 
 def _is_white(observations: Observations) -> bool:
@@ -115,11 +113,27 @@ def is_one(observations: Observations, color: float, most: np.ndarray, least: np
     return bool(off < _ONE_COLOR)
 
 
-def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
-    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
-    return make_effect(start_values.background, rate(peak=RATE, hold=0))
+def simulate(coefficients: np.ndarray, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run."""
+    del photos
+    return make_effect(coefficients, rate(peak=RATE, hold=0))
 
 
 def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
     """A colour by direction is behind all Gaussians, see `gsjax.rendering.backdrop`. No surface is made of it."""
     return Effect(np.asarray(coefficients, np.float32), rate, behind=backdrop.color_behind)
+
+
+def learned(coefficients: np.ndarray, numbers: Any, photos: PhotoSet) -> dict[str, Any]:
+    """The coefficients."""
+    del photos
+    return {"background": np.asarray(coefficients if numbers is None else numbers)}
+
+
+EFFECT = EffectKind(
+    judge,
+    simulate,
+    start=lambda inputs: initial(inputs.observations, inputs.skies),
+    learned=learned,
+    is_needless=is_one,
+)

@@ -1,14 +1,10 @@
 """Blurred photos, one or all: named, and left out where others show the same; not simulated."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from gsjax.effects.evidence import Evidence
+from gsjax.effects.evidence import Evidence, Findings
+from gsjax.effects.kinds import EffectKind
 from gsjax.effects.observations import Observations
-
-if TYPE_CHECKING:
-    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.5  # of the median sharpness, lost
 DROP = 0.7  # A photo that lost more is left out of training,
@@ -17,7 +13,7 @@ SHARP_EDGE = 1.5  # pixels: photos whose sharpest edges are twice as wide lack h
 _MOST_NAMED = 5
 
 
-def judge(findings: "Findings") -> Evidence:
+def judge(findings: Findings) -> Evidence:
     """Judge whether photos lack half of the median photo's sharpness, which the note names, or all lack resolution."""
     observations = findings.observations
     lost, blurred_by = _lost(observations), _lost_by_all(observations)
@@ -67,3 +63,6 @@ def _lost(observations: Observations) -> np.ndarray:
     sharpness = np.array([facts.sharpness for facts in observations.facts])
     median = float(np.median(sharpness))
     return 1 - sharpness / median if median > 0 else np.zeros(len(sharpness))
+
+
+EFFECT = EffectKind(judge, is_proposed=False, photos_to_leave_out=photos_to_leave_out)

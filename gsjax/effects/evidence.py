@@ -1,6 +1,27 @@
 """What a scene says about one effect: a statistic, how far it can be trusted, and what follows."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
+
+import numpy as np
+
+from gsjax.effects.observations import Observations
+from gsjax.effects.parallax import Parallax
+from gsjax.effects.photo_gains import Gains
+from gsjax.effects.pose_steps import Step
+
+Masks = Mapping[str, np.ndarray]
+"""Frame's name -> `[H, W]` bool, True where it shows sky; photos without sky have none."""
+
+
+class Findings(NamedTuple):
+    """What photos and tracks show, for every effect to judge."""
+
+    observations: Observations
+    gains: Gains | None  # None: no point is seen in three photos
+    steps: tuple[Step | None, ...]  # a frame
+    masks: Masks  # of what looks like sky, plaster included
+    of_masks: Parallax | None  # what compares within them; None: nothing
 
 
 class Evidence(NamedTuple):

@@ -4,7 +4,7 @@ Photos are read one by one and forgotten. Colours come from a slightly blurred p
 part of a pixel does not matter.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from gsjax.scene import Frame, Scene, tracks_by_name
+from gsjax.scene.georeference import up_of_cameras
 
 BLUR = 0.7  # pixels, standard deviation: wider windows mix what is behind an edge into it, more so in small photos
 DARKEST, BRIGHTEST = 12, 243  # Beyond, a pixel is clipped or nearly so, and tells no ratio:
@@ -25,6 +26,7 @@ POINTS_PER_PHOTO = 40  # where there are many photos
 EVEN_GRID = 320  # most places along it where a photo is tested for being even:
 EVEN_STEP = 0.06  # so far the places around it differ at most, in any channel
 LIGHT_GRID = 96  # most places along it whose mean colour is kept, and which are bare or not
+UPRIGHT = 0.5  # length of the mean of the cameras' upward axes, under which they do not agree on up
 UNUSABLE, UNEVEN, EVEN = 0, 1, 2
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -95,6 +97,14 @@ def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fram
     return Observations(
         scene.frames, tuple(facts), scene.points.astype(np.float64), photo, point, pixels, colors, bool(len(photo))
     )
+
+
+def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
+    """`[3]` unit, where up is by photos that are upright as they are stored; None where they contradict each other."""
+    viewmats = np.stack([frame.viewmat for frame in frames]).astype(np.float64)
+    if np.linalg.norm(viewmats[:, 1, :3].mean(0)) < UPRIGHT:
+        return None
+    return up_of_cameras(viewmats)[0]
 
 
 def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray) -> tuple[np.ndarray, PhotoFacts]:

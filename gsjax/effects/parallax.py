@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from gsjax.effects.observations import BRIGHTEST, DARKEST, Observations
+from gsjax.effects.observations import BRIGHTEST, DARKEST, Observations, upwards
+from gsjax.effects.photo_gains import Gains
 from gsjax.scene.cameras import viewmat_center
 from gsjax.scene.colors import srgb_to_linear
 
@@ -49,18 +50,17 @@ class _View(NamedTuple):
     values: np.ndarray  # [R, 3] EV there
 
 
-def compare(
-    observations: Observations, regions: Mapping[int, np.ndarray], gains: np.ndarray, up: np.ndarray
-) -> Parallax | None:
+def compare(observations: Observations, regions: Mapping[int, np.ndarray], gains: Gains | None) -> Parallax | None:
     """Compare plain regions between photos; None where too few photos show the same, or all of it is clipped.
 
-    Args:
-        observations: The photos.
-        regions: Index of a frame -> `[h, w]` bool on the grid of `PhotoFacts.light`.
-        gains: `[V, 3]` EV, of the photos' exposures.
-        up: `[3]` unit.
+    `regions` are `[h, w]` bool on the grid of `PhotoFacts.light`, by the index of a frame.
     """
-    every = [_view(observations, index, region, gains[index]) for index, region in regions.items()]
+    if not regions or not len(observations.points):
+        return None
+    stops = np.zeros((len(observations.frames), 3)) if gains is None else gains.fit.gains
+    up = upwards(observations.frames)
+    up = np.array([0.0, 0.0, 1.0]) if up is None else up
+    every = [_view(observations, index, region, stops[index]) for index, region in regions.items()]
     views = [view for view in every if view is not None]
     views = views[:: -(-len(views) // VIEWS) or 1]
     pairs = [(a, b) for a in range(len(views)) for b in _partners(a, views)]

@@ -10,10 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
+from gsjax.effects.observations import Observations
+from gsjax.scene.colors import srgb_to_linear
+
 ROUNDS = 10  # of reweighting
 OUTLIER = 1.5  # standard deviations beyond which a residual counts linearly (Huber)
 SHORTEST_TRACK = 3
 SHARED = 10  # observations of a photo err alike, because neighbouring keypoints are on one surface
+_FEWEST = 20  # observations of a photo in each half of the scene, to be compared
 _PULL = 1e-3  # observations of gain zero that every photo has in addition to its own: decides where nothing else does
 _GREY_AND_TINTS = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]).T / np.sqrt([3, 2, 6])  # orthonormal columns
 
@@ -117,3 +121,55 @@ def held_out_ratio(data: Table, gains: np.ndarray) -> float:
         return float(np.median(np.sqrt(np.square((values - mean) * count / (count - 1)).mean(1))))
 
     return error(data.values - gains[data.photo]) / max(error(data.values), 1e-12)
+
+
+class Gains(NamedTuple):
+    """What tracks imply of the photos' exposure."""
+
+    data: Table  # log2 of linear light
+    fit: Fit  # gains in EV, red, green, blue
+    noise: float  # EV, of a photo's exposure
+    held_out_ratio: float
+    agreement: tuple[float, float]  # correlation of both halves of the scene: exposures, white balances
+
+
+def estimate(observations: Observations) -> Gains | None:
+    """Gains of the photos, and how far they can be trusted; None without tracks that say anything."""
+    light = np.log2(srgb_to_linear(observations.colors))
+    data = table(light, observations.photo, observations.point, len(observations.frames))
+    if len(np.unique(data.photo)) < 2:
+        return None
+    half = np.random.default_rng(0).random(int(data.point.max()) + 1) < 0.5
+    first, second = (data.only(side[data.point]) for side in (half, ~half))
+    one, other = fit(first), fit(second)
+    a, b = _common(one, other, first, second, fewest=1)
+    noise = 0.5 * float(np.sqrt(np.mean(np.square((a - b).mean(1))))) if a.size else 0.0
+    ratio = held_out_ratio(second, one.gains) if len(second.photo) else 1.0
+    return Gains(data, fit(data), noise, ratio, _agreement(observations, data))
+
+
+def _agreement(observations: Observations, data: Table) -> tuple[float, float]:
+    """Correlations of the photos' gains from the two halves of the scene, cut across its longest axis."""
+    points = observations.points[data.origins]
+    offsets = points - np.median(points, axis=0)
+    side = offsets @ np.linalg.svd(offsets, full_matrices=False)[2][0] > 0
+    first, second = (data.only(half[data.point]) for half in (side, ~side))
+    one, other = _common(fit(first), fit(second), first, second, fewest=_FEWEST)
+    luminance = _correlation(one.mean(1), other.mean(1))
+    colors = _correlation(*((gains[:, [0, 2]] - gains[:, 1:2]).ravel() for gains in (one, other)))
+    return luminance, colors
+
+
+def _correlation(one: np.ndarray, other: np.ndarray) -> float:
+    if one.size < 3 or one.std() == 0 or other.std() == 0:
+        return 0.0
+    return float(np.corrcoef(one, other)[0, 1])
+
+
+def _common(one: Fit, other: Fit, first: Table, second: Table, *, fewest: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gains `[v, 3]`, mean zero, of the photos that both tables see often enough."""
+    counts = [np.bincount(part.photo, minlength=part.num_photos) for part in (first, second)]
+    both = np.minimum(*counts) >= fewest
+    if not both.any():
+        return np.empty((0, 3)), np.empty((0, 3))
+    return one.gains[both] - one.gains[both].mean(0), other.gains[both] - other.gains[both].mean(0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,46 +11,22 @@ import optax
 from jax import Array
 
 from gsjax.effects.camera_twists import apply_twist, gauge
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, Findings, unknown
+from gsjax.effects.kinds import EffectKind, PhotoSet
 from gsjax.effects.observations import Observations
+from gsjax.effects.pose_steps import gauss_newton_steps
 from gsjax.effects.simulation import Effect
 from gsjax.scene import Frame
 from gsjax.scene.cameras import Camera
 
-if TYPE_CHECKING:
-    from gsjax.effects.appearance import Start
-    from gsjax.effects.diagnosis import Findings
-
 THRESHOLD = 0.3  # pixels
-SIGNIFICANT = 3  # standard errors
 SHARE = 0.2  # of the photos must want to move
-FEWEST = 8  # observations of a photo
 RATE, RATE_KNOWN = 1e-3, 2.5e-4  # Adam's learning rate, of radians and of units; where tracks have told the start
 HOLD, HOLD_SHARE = 1000, 0.3  # steps that cameras wait for Gaussians to be somewhere; of a run at most
 LIMIT = 0.3  # of the logarithm of a focal length against the given one
-_ROUNDS, _OUTLIER = 5, 1.5  # of reweighting; standard deviations that count in full (Huber)
 
 
-class Step(NamedTuple):
-    """A Gauss-Newton step of one photo's pose."""
-
-    shift: float  # median shift of its points in the picture, pixels
-    error: float  # standard error of that
-    turn: np.ndarray  # [3] of the camera about its centre, along the world's axes, radians
-    move: np.ndarray  # [3] of its centre, scene units
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether it is more than its own error."""
-        return self.shift > SIGNIFICANT * self.error
-
-
-def gauss_newton_steps(observations: Observations) -> tuple[Step | None, ...]:
-    """The robust Gauss-Newton step of every photo on its reprojection errors, points fixed; None of too few points."""
-    return tuple(_step(observations, index) for index in range(len(observations.frames)))
-
-
-def judge(findings: "Findings") -> Evidence:
+def judge(findings: Findings) -> Evidence:
     """On where a fifth of the photos would move their points significantly, by more than a third of a pixel."""
     steps = [step for step in findings.steps if step is not None]
     if not steps:
@@ -88,15 +64,15 @@ def twists_from_tracks(observations: Observations) -> np.ndarray:
     return photo_twists
 
 
-def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
-    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
+def simulate(start_twists: np.ndarray, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run."""
     return make_effect(
-        start_values.centers[start_values.trained],
-        start_values.distance,
-        start_values.camera[start_values.trained],
-        len(start_values.falloff),
-        rate(peak=RATE_KNOWN if start_values.tracked else RATE, hold=HOLD, share=HOLD_SHARE),
-        start_values.twists[start_values.trained],
+        photos.centers[photos.trained],
+        photos.distance,
+        photos.camera[photos.trained],
+        photos.num_cameras,
+        rate(peak=RATE_KNOWN if photos.tracked else RATE, hold=HOLD, share=HOLD_SHARE),
+        start_twists[photos.trained],
     )
 
 
@@ -157,48 +133,26 @@ def _moved_and_zoomed(camera: Camera, twist: Array, focal: Array) -> Camera:
     return zoom_camera(apply_twist(camera, twist, 1.0), focal)
 
 
-def moves(numbers: Any, centers: np.ndarray, unit: float, trained: np.ndarray, whose: np.ndarray) -> tuple[Move, ...]:
-    """Of all V photos after training. Those that are held out keep their pose, and share their camera's focal length.
+def learned(start_twists: np.ndarray, numbers: Any, photos: PhotoSet) -> dict[str, Any]:
+    """The move of each camera by its photo's name. Held-out photos keep their pose, and share a camera's focal length.
 
-    `numbers` are of the photos that are trained on (`trained` `[V]` bool), the rest as in `make_effect`.
+    Before training there are none.
     """
-    photo_twists = np.zeros((len(centers), 6))
-    photo_twists[trained] = np.asarray(twists(numbers, gauge(centers[trained], unit))) * np.repeat([1.0, unit], 3)
+    if numbers is None:
+        return {}
+    fixed, units = gauge(photos.centers[photos.trained], photos.distance), np.repeat([1.0, photos.distance], 3)
+    photo_twists = np.zeros_like(start_twists)
+    photo_twists[photos.trained] = np.asarray(twists(numbers, fixed)) * units
     focals = np.exp(np.asarray(log_focals(numbers), np.float64))
-    rows = zip(photo_twists.tolist(), focals[whose].tolist(), strict=True)
-    return tuple(Move(tuple(twist[:3]), tuple(twist[3:]), focal) for twist, focal in rows)
+    rows = zip(photos.names, photo_twists.tolist(), focals[photos.camera].tolist(), strict=True)
+    return {"moves": {name: Move(tuple(twist[:3]), tuple(twist[3:]), focal) for name, twist, focal in rows}}
 
 
-def _step(observations: Observations, index: int) -> Step | None:
-    rows = observations.photo == index
-    if rows.sum() < FEWEST:
-        return None
-    frame = observations.frames[index]
-    viewmat, K = frame.viewmat.astype(np.float64), frame.K.astype(np.float64)
-    local = observations.points[observations.point[rows]] @ viewmat[:3, :3].T + viewmat[:3, 3]
-    front = local[:, 2] > 1e-6
-    if front.sum() < FEWEST:
-        return None
-    local, observed = local[front], observations.pixels[rows][front]
-    x, y, z = local.T
-    focal = K[[0, 1], [0, 1]]
-    errors = observed - (local[:, :2] / z[:, None] * focal + K[:2, 2])
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    # Of a turn about the camera's axes (radians), then of a move in units of depth.
-    depth = float(np.median(z))
-    across = np.stack([-x * y / z**2, 1 + (x / z) ** 2, -y / z, one * depth / z, zero, -x / z**2 * depth], -1)
-    down = np.stack([-(1 + (y / z) ** 2), x * y / z**2, x / z, zero, one * depth / z, -y / z**2 * depth], -1)
-    slopes = np.stack([across, down], axis=1) * focal[:, None]  # [M, 2, 6]
-    weights, twist, inverse, sigma = np.ones(len(x)), np.zeros(6), np.eye(6), 0.0
-    for _ in range(_ROUNDS):
-        normal = np.einsum("mca,mcb,m->ab", slopes, slopes, weights)
-        inverse = np.linalg.inv(normal + 1e-9 * np.trace(normal) * np.eye(6))
-        twist = inverse @ np.einsum("mca,mc,m->a", slopes, errors, weights)
-        left = np.linalg.norm(errors - slopes @ twist, axis=1)
-        sigma = float(np.median(left)) / 1.1774  # of one coordinate, were both normal
-        weights = np.minimum(1.0, _OUTLIER * sigma / np.maximum(left, 1e-12))
-    shift = float(np.median(np.linalg.norm(slopes @ twist, axis=1)))
-    # Points that turn before a camera are a camera that turns the other way.
-    turn, move = -viewmat[:3, :3].T @ twist[:3], -depth * viewmat[:3, :3].T @ twist[3:]
-    variances = np.einsum("mca,ab,mcb->m", slopes, inverse, slopes) * sigma**2
-    return Step(shift, float(np.sqrt(np.median(variances))), turn, move)
+EFFECT = EffectKind(
+    judge,
+    simulate,
+    start=lambda inputs: twists_from_tracks(inputs.observations),
+    learned=learned,
+    on_evidence=True,
+    per_photo=True,
+)

@@ -84,6 +84,16 @@ def light_behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camer
     return color
 
 
+def light_in_photo(effects: Effects, numbers: dict[str, Any] | None, colors: Array, batch: Batch) -> Array:
+    """`[H, W, 3]` what the camera of a view makes of the light before its lens."""
+    if numbers is None:
+        return colors
+    for name, effect in effects.items():
+        if effect.light is not None:
+            colors = effect.light(numbers[name], colors, batch)
+    return colors
+
+
 def photograph(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
     """What the camera makes of a view.
 
@@ -95,11 +105,7 @@ def photograph(effects: Effects, numbers: dict[str, Any] | None, view: View, bat
     behind = jnp.zeros_like(view.colors)
     if batch.matte is not None:
         behind = (1 - view.alphas)[..., None] * background[None, None]
-    colors = view.colors - behind
-    for name, effect in effects.items():
-        if effect.light is not None:
-            colors = effect.light(numbers[name], colors, batch)
-    colors = colors + behind
+    colors = light_in_photo(effects, numbers, view.colors - behind, batch) + behind
     # What was brighter than white before any effect stays as wrong as it is without effects.
     most = jnp.maximum(view.colors, 1)
     return view._replace(colors=jnp.where((batch.image > SATURATED) & (colors > most), most, colors))

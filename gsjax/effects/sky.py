@@ -5,21 +5,18 @@ in several photos that look the same way. A plain ceiling is all of that. So a s
 depends on the direction alone (`gsjax.effects.parallax`): to take a surface away is worse than to leave a sky.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
-from gsjax.effects.evidence import Evidence, unknown
-from gsjax.effects.observations import EVEN, UNUSABLE, Observations, block_means, even_stride, light_stride
+from gsjax.effects.evidence import Evidence, Findings, Masks, unknown
+from gsjax.effects.kinds import EffectKind
+from gsjax.effects.observations import EVEN, UNUSABLE, Observations, block_means, even_stride, light_stride, upwards
 from gsjax.effects.parallax import Parallax
 from gsjax.scene import Frame
 from gsjax.scene.cameras import landing
-from gsjax.scene.georeference import up_of_cameras
-
-if TYPE_CHECKING:
-    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 1.2  # times the error at infinity, which any other place of the light has at least
 LARGE_ROOM = 2 / 3  # of that threshold, for rooms far larger than what was matched: a sky is hardly different from them
@@ -36,11 +33,7 @@ BELOW = (-5.0, 0.05)  # degrees of elevation, and the share of a region that may
 POINTS = (0.05, 10.0)  # of the points that a region so large would have, that a sky has at most; fewest of the latter
 ALIKE = 0.3  # of a region, which another photo has as sky in the same directions
 CELLS = 10  # to the unit, by which directions are compared: 6 degrees
-UPRIGHT = 0.5  # length of the mean of the cameras' upward axes, under which they do not agree on up
 MOST_INSIDE = 0.5  # of the photos that have a point in view, beyond which it is in their sky
-
-Masks = Mapping[str, np.ndarray]
-"""Frame's name -> `[H, W]` bool, True where it shows sky; photos without sky have none."""
 
 
 def find(observations: Observations) -> Masks:
@@ -68,9 +61,9 @@ def find(observations: Observations) -> Masks:
     return masks if strong >= max(FEWEST, SHARE * len(views)) else {}
 
 
-def judge(findings: "Findings") -> Evidence:
-    """The evidence of `judge_masks`, by which the diagnosis finds its masks."""
-    return findings.sky
+def judge(findings: Findings) -> Evidence:
+    """Judge whether the regions that the diagnosis has found are sky."""
+    return judge_masks(findings.observations, findings.masks, findings.of_masks)
 
 
 def judge_masks(observations: Observations, masks: Masks, compared: Parallax | None = None) -> Evidence:
@@ -135,14 +128,6 @@ def tinted(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     if mask is None:
         return image
     return np.where(mask[..., None], image // 2 + np.array([127, 0, 127], np.uint8), image)
-
-
-def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
-    """`[3]` unit, where up is by photos that are upright as they are stored; None where they contradict each other."""
-    viewmats = np.stack([frame.viewmat for frame in frames]).astype(np.float64)
-    if np.linalg.norm(viewmats[:, 1, :3].mean(0)) < UPRIGHT:
-        return None
-    return up_of_cameras(viewmats)[0]
 
 
 def lies_in(points: np.ndarray, frames: Sequence[Frame], masks: Masks) -> np.ndarray:
@@ -219,3 +204,6 @@ def _full_size(coarse: np.ndarray, frame: Frame) -> np.ndarray:
     whole = coarse.repeat(stride, 0).repeat(stride, 1)
     missing = [(0, frame.height - whole.shape[0]), (0, frame.width - whole.shape[1])]
     return np.pad(whole, missing, mode="edge")
+
+
+EFFECT = EffectKind(judge, uncovers="background", masked_terms="sky")

@@ -7,7 +7,6 @@ the residuals of all photos: one that shows nothing foreign keeps nearly all of 
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -15,15 +14,12 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, Findings, unknown
+from gsjax.effects.kinds import EffectKind, PhotoSet
 from gsjax.effects.simulation import Effect
 from gsjax.numerics import masked_mean
 from gsjax.scene.batches import Batch
 from gsjax.settings import Density
-
-if TYPE_CHECKING:
-    from gsjax.effects.appearance import Start
-    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.25  # of the observations
 FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches
@@ -35,7 +31,7 @@ LATER = 0.5  # of the time of densification, by which it is delayed
 RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 150 steps
 
 
-def judge(findings: "Findings") -> Evidence:
+def judge(findings: Findings) -> Evidence:
     """Judge by the colours along tracks. Movers that left no tracks are not detected: tracks hold what matched."""
     gains = findings.gains
     if gains is None or not len(gains.fit.residuals):
@@ -46,9 +42,9 @@ def judge(findings: "Findings") -> Evidence:
     return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, note)
 
 
-def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
-    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
-    del start_values
+def simulate(start: None, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run."""
+    del start, photos
     return make_effect(rate(peak=RATE, hold=0, final=1.0))
 
 
@@ -93,3 +89,6 @@ def trusted_pixels(log_quantile: Array, colors: Array, image: Array) -> Array:
 def residuals(colors: Array, image: Array) -> Array:
     """`[H, W]` mean absolute difference of the channels; no gradient."""
     return jax.lax.stop_gradient(jnp.mean(jnp.abs(jnp.clip(colors, 0, 1) - image), axis=-1))
+
+
+EFFECT = EffectKind(judge, simulate, delay_densification=delay_densification)

@@ -1,24 +1,20 @@
 """Vignetting: photos that are darker towards their corners."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import Array
 
-from gsjax.effects.evidence import Evidence, unknown
-from gsjax.effects.exposure import Gains
+from gsjax.effects.evidence import Evidence, Findings, unknown
+from gsjax.effects.kinds import EffectKind, PhotoSet, StartInputs
 from gsjax.effects.observations import Observations
-from gsjax.effects.photo_gains import Fit, Table, fit, project
+from gsjax.effects.photo_gains import Fit, Gains, Table, fit, project
 from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
-
-if TYPE_CHECKING:
-    from gsjax.effects.appearance import Start
-    from gsjax.effects.diagnosis import Findings
 
 THRESHOLD = 0.1  # EV at the corner
 SIGNIFICANT = 5  # standard errors
@@ -70,7 +66,7 @@ def halves(observations: Observations, gains: Gains) -> list[tuple[float, float]
     return corners
 
 
-def judge(findings: "Findings") -> Evidence:
+def judge(findings: Findings) -> Evidence:
     """Judge whether corners are darker, in all photos or in one half of them, by more than noise."""
     observations, gains = findings.observations, findings.gains
     if gains is None:
@@ -87,9 +83,27 @@ def judge(findings: "Findings") -> Evidence:
     return Evidence(bool(on), -slope, "EV", error, THRESHOLD, note)
 
 
-def simulate(start_values: "Start", rate: Callable[..., optax.Schedule]) -> Effect:
-    """The effect of a run: where it starts, and its schedule by `peak`, `hold`, `share` and `final`."""
-    return make_effect(start_values.falloff, start_values.camera[start_values.trained], rate())
+def start(inputs: StartInputs) -> np.ndarray:
+    """`[C, 2]` float64 coefficients by the tracks, the same of every camera: of the tangent squared, and zero."""
+    slope = 0.0
+    if len(inputs.light.photo):
+        slope = min(slope_on(inputs.observations.tangents2, inputs.light, inputs.fit)[0], 0.0)
+    return np.tile(np.array([slope, 0.0]), (inputs.photos.num_cameras, 1))
+
+
+def explain(coefficients: np.ndarray, inputs: StartInputs) -> np.ndarray:
+    """`[N, 1]` what the fall-off that `start` found explains of the light of the tracks."""
+    return coefficients[0, 0] * inputs.observations.tangents2[inputs.light.rows][:, None]
+
+
+def simulate(coefficients: np.ndarray, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
+    """The effect of a run."""
+    return make_effect(coefficients, photos.camera[photos.trained], rate())
+
+
+def learned(coefficients: np.ndarray, numbers: Any, photos: PhotoSet) -> dict[str, Any]:
+    """The fall-off of each photo's camera."""
+    return {"falloff": np.asarray(coefficients if numbers is None else numbers, np.float32)[photos.camera]}
 
 
 def make_effect(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:
@@ -112,3 +126,6 @@ def falloff(numbers: Array, camera: Camera) -> Array:
     y = (jnp.arange(camera.height, dtype=jnp.float32) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     tangent2 = jnp.square(y)[:, None] + jnp.square(x)[None, :]
     return jnp.clip(numbers[0] * tangent2 + numbers[1] * jnp.square(tangent2), -LIMIT, LIMIT)
+
+
+EFFECT = EffectKind(judge, simulate, start, explain, learned)

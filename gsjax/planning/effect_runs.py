@@ -1,6 +1,5 @@
 """Validation runs of effects: small photos that lack large blocks of pixels, and pictures of them afterwards."""
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,14 +11,14 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.effects.appearance import Start, appearances, moves, simulations, start
 from gsjax.effects.observations import Observations
-from gsjax.effects.simulation import HOLD, RATE, Effect, Effects, EffectState
-from gsjax.gaussians import Gaussians
+from gsjax.effects.simulation import HOLD, RATE, Effect, Effects, light_behind, light_in_photo, move_camera
+from gsjax.effects.start import estimate_start
 from gsjax.planning.validation import Observe, ValidationGain, Variant, compared
-from gsjax.rendering import backdrop, gallery
+from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Frame, batches, with_pixels
+from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
 from gsjax.settings import COLOR_RATE, Settings
 from gsjax.training import optimizers
@@ -51,31 +50,31 @@ class EffectRuns:
 
         The run has the photometric loss alone and no densification.
         """
-        variant = self._variant
-        start_values = start(self.observations, names)
-        on = simulations(start_values, names, _rate)
+        variant, on = self._variant, estimate_start(self.observations, names).simulations(_rate)
         state = self.initial(self.settings, variant.optimizer, variant.effects)
         if state.effects is not None:
-            numbers = {name: self._numbers(name, each, on) for name, each in variant.effects.items()}
+            numbers = {
+                name: (jnp.float32(name in on), jax.tree.map(jnp.asarray, on.get(name, off).initial))
+                for name, off in self._effects.items()
+            }
             state = replace(state, effects=replace(state.effects, numbers=numbers))
         training_frames = [
             _without_pixels(frame, blocks) for frame, blocks in zip(self.frames, self.held_out, strict=True)
         ]
-        state = variant.train(training_frames, state, observe)
-        return self._pictures(state, start_values, names)
+        return self._pictures(variant.train(training_frames, state, observe))
 
     def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> ValidationGain:
         """The gain of an effect on the held-out pixels, from the pictures of both variants."""
-        data = batches.read_batches(self.frames, scale=self._scale)
-        photos, valid, held_out = [], [], []
-        for target, blocks in zip(data.views, self.held_out, strict=True):
-            width, height = target.size
-            batch = batches.decode(target, jnp.asarray(self._color))
-            photos.append(np.asarray(batch.image)[:height, :width])
-            valid.append(np.asarray(batch.valid)[:height, :width])
-            middle = self._scale // 2
-            held_out.append(blocks[middle :: self._scale, middle :: self._scale][:height, :width])
+        photos, valid, held_out, middle = [], [], [], self._scale // 2
+        for (photo, part), blocks in zip(self._photos, self.held_out, strict=True):
+            photos.append(np.asarray(photo.image)[part])
+            valid.append(np.asarray(photo.valid)[part])
+            held_out.append(blocks[middle :: self._scale, middle :: self._scale][part])
         return compared(without, with_effect, photos, valid, held_out)
+
+    @cached_property
+    def _effects(self) -> Effects:
+        return estimate_start(self.observations, self.proposed).simulations(_rate)
 
     @cached_property
     def _variant(self) -> Variant:
@@ -83,16 +82,15 @@ class EffectRuns:
         planned = plan(self.settings).with_effects(self.proposed)
         # Points have the colours of the photos that they were matched in: what gains change must be learned in time.
         optimizer = optimizers.make_optimizer(planned.rates, self.extent, planned.steps, color_rate=HURRY * COLOR_RATE)
-        effects = simulations(start(self.observations, self.proposed), self.proposed, _rate)
-        effects = {name: switchable(effect) for name, effect in effects.items()}
+        effects = {name: switchable(effect, self._color) for name, effect in self._effects.items()}
         return Variant(planned, optimizer, self.extent, effects)
 
-    def _numbers(self, name: str, effect: Effect, on: Effects) -> tuple[Array, Any]:
-        """The numbers of an effect at step 0, its switch before them; a background that is off has the run's colour."""
-        value = on[name].initial if name in on else effect.initial[1]
-        if name == "background" and name not in on:
-            value = backdrop.constant_coefficients(self._color, math.isqrt(len(value)) - 1)
-        return jnp.float32(name in on), jax.tree.map(jnp.asarray, value)
+    @cached_property
+    def _photos(self) -> list[tuple[Batch, tuple[slice, slice]]]:
+        """The photos, reduced, and the part of each that is not padding."""
+        data = batches.with_photo_numbers(batches.read_batches(self.frames, scale=self._scale))
+        color = jnp.asarray(self._color)
+        return [(batches.decode(view, color), np.s_[: view.size[1], : view.size[0]]) for view in data.views]
 
     @property
     def _scale(self) -> int:
@@ -102,34 +100,26 @@ class EffectRuns:
     def _color(self) -> np.ndarray:
         return BACKGROUND_COLORS[self.settings.model.background]
 
-    def _pictures(self, state: TrainState, start_values: Start, names: Sequence[str]) -> list[np.ndarray]:
-        looks, moved, behind = {}, {}, self._color
-        if state.effects is not None:
-            numbers = {name: value for name, (_, value) in state.effects.numbers.items() if name in names}
-            on = EffectState(numbers, {})
-            looks, moved = appearances(start_values, on), moves(start_values, on)
-            behind = np.asarray(numbers.get("background", behind))
-        frames = [moved[frame.name].apply(frame) if frame.name in moved else frame for frame in self.frames]
-        small = [_reduced(frame, self._scale) for frame in frames]
-        cameras = [Camera(frame.viewmat, frame.K, frame.width, frame.height) for frame in small]
-        gaussians: Gaussians = jax.tree.map(jnp.asarray, state.gaussians)
-        pictures = gallery.pictures(gaussians, cameras, behind, self.settings.model.depth_mode)
-        return [self._as_taken(frame, picture, looks) for frame, picture in zip(small, pictures, strict=True)]
-
-    def _as_taken(self, frame: Frame, picture: gallery.Picture, looks) -> np.ndarray:
-        """What a photo's camera makes of a picture; the colour under a matte stays as it is."""
-        if frame.name not in looks:
-            return picture.colors
-        under = np.float32(0)
-        if frame.pixels().matte is not None:
-            under = (1 - picture.alphas)[..., None] * self._color
-        return (picture.colors - under) * looks[frame.name].factor(frame) + under
+    def _pictures(self, state: TrainState) -> list[np.ndarray]:
+        effects, numbers = self._variant.effects, state.effects and state.effects.numbers
+        cameras = [move_camera(effects, numbers, photo.camera, photo.photo) for photo, _ in self._photos]
+        black = np.zeros(3, np.float32)
+        drawn = gallery.pictures(state.gaussians, cameras, black, self.settings.model.depth_mode)
+        pictures = []
+        for (photo, part), camera, picture in zip(self._photos, cameras, drawn, strict=True):
+            uncovered = (1 - picture.alphas)[..., None]
+            behind = np.asarray(light_behind(effects, numbers, camera, jnp.asarray(self._color)))
+            # The colour under a matte stays as it is.
+            laid = np.float32(0) if photo.matte is None else uncovered * self._color
+            colors = np.clip(picture.colors + uncovered * behind, 0, 1) - laid
+            pictures.append((np.asarray(light_in_photo(effects, numbers, colors, photo)) + laid)[part])
+        return pictures
 
 
-def switchable(effect: Effect) -> Effect:
+def switchable(effect: Effect, color: np.ndarray) -> Effect:
     """The effect with a switch before its numbers, 0 or 1: one program trains with it and without.
 
-    Off, it changes nothing but the light behind all, which is that of its numbers, and learns nothing.
+    Off, it changes nothing and learns nothing; behind all Gaussians is the `color` `[3]` of the run.
     """
 
     def camera(numbers, original: Camera, photo: Array) -> Camera:
@@ -138,13 +128,14 @@ def switchable(effect: Effect) -> Effect:
 
     def behind(numbers, view: Camera) -> Array:
         assert effect.behind is not None
-        return effect.behind(_where(numbers[0], numbers[1], jax.lax.stop_gradient(numbers[1])), view)
+        light = effect.behind(numbers[1], view)
+        return _where(numbers[0], light, jnp.broadcast_to(jnp.asarray(color), light.shape))
 
-    def light(numbers, colors: Array, batch: batches.Batch) -> Array:
+    def light(numbers, colors: Array, batch: Batch) -> Array:
         assert effect.light is not None
         return _where(numbers[0], effect.light(numbers[1], colors, batch), colors)
 
-    def trusts(numbers, colors: Array, batch: batches.Batch) -> tuple[Array, Array]:
+    def trusts(numbers, colors: Array, batch: Batch) -> tuple[Array, Array]:
         assert effect.trusts is not None
         trusted, added = effect.trusts(numbers[1], colors, batch)
         return _where(numbers[0], (trusted, added), (jnp.ones_like(trusted), jnp.zeros_like(added)))
@@ -199,9 +190,3 @@ def _without_pixels(frame: Frame, blocks: np.ndarray) -> Frame:
     pixels = frame.pixels()
     whole = np.full(blocks.shape, 255, np.uint8) if pixels.valid is None else pixels.valid
     return with_pixels(frame, pixels._replace(valid=np.where(blocks, np.uint8(0), whole)))
-
-
-def _reduced(frame: Frame, scale: int) -> Frame:
-    """The camera of a photo reduced by a factor."""
-    K = (np.diag([1 / scale, 1 / scale, 1]) @ frame.K).astype(np.float32)
-    return replace(frame, K=K, width=frame.width // scale, height=frame.height // scale)

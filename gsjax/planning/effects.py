@@ -1,41 +1,39 @@
 """Which effects a run simulates, and what it reports of each photo and its camera afterwards."""
 
 import sys
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import numpy as np
 import optax
 from tqdm import tqdm
 
-from gsjax.effects import background, blur, sky
-from gsjax.effects.appearance import Appearance, Start, appearances, light_range, moves, simulations, start
-from gsjax.effects.diagnosis import Diagnosis
-from gsjax.effects.diagnosis import diagnose as look
-from gsjax.effects.evidence import Evidence
+from gsjax.effects import sky
+from gsjax.effects.appearance import Appearance
+from gsjax.effects.diagnosis import Diagnosis, diagnose
+from gsjax.effects.evidence import Masks
+from gsjax.effects.kinds import effect_kinds
 from gsjax.effects.observations import observe
 from gsjax.effects.simulation import Effects, EffectState, learning_rate
+from gsjax.effects.start import Start, estimate_start, simulated_kinds
 from gsjax.errors import InputError
 from gsjax.planning.effect_validation import Validate
 from gsjax.planning.validation import WORTH, ValidationGain
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Scene
-from gsjax.settings import AUTO, EFFECTS, NONE, SIMULATED, named_effects
+from gsjax.settings import AUTO, EFFECTS, NONE, named_effects
 from gsjax.training.plan import Plan
 
-PROPOSED = tuple(name for name, kind in EFFECTS.items() if kind.is_proposed)
-"""Effects that "auto" may simulate, in the order in which they are validated."""
-UNVALIDATED = tuple(name for name, kind in EFFECTS.items() if kind.on_evidence)
-"""Those that a run which is too short for validation simulates on evidence alone: they remove no surface."""
 STRICTER = 1.5  # times the threshold, which evidence alone must exceed
+SKY = "sky"  # the effect that the setting `effects.sky` requires or has masks of
 _PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
 
 
 def diagnose_scene(scene: Scene) -> Diagnosis:
     """The diagnosis of a loaded data set, a bar meanwhile."""
-    return look(scene, progress=lambda frames: tqdm(list(frames), desc="diagnose", unit="photo", leave=False))
+    return diagnose(scene, progress=lambda frames: tqdm(list(frames), desc="diagnose", unit="photo", leave=False))
 
 
 class Inspection(NamedTuple):
@@ -54,15 +52,16 @@ def inspect_photos(request: str, scene: Scene) -> Inspection:
     """
     if request == NONE:
         return Inspection(scene)
-    findings = diagnose_scene(scene)
-    is_requested = request == AUTO or "blur" in named_effects(request)
-    names = blur.photos_to_leave_out(findings.observations) if is_requested else ()
+    diagnosis, names, evidence = diagnose_scene(scene), [], {}
+    for effect, kind in effect_kinds().items():
+        if kind.photos_to_leave_out and (request == AUTO or effect in named_effects(request)):
+            names += kind.photos_to_leave_out(diagnosis.observations)
+            evidence[effect] = diagnosis.effects[effect]
     if not names:
-        return Inspection(scene, findings)
+        return Inspection(scene, diagnosis)
     print(f"train: too blurred, left out: {', '.join(names)}", file=sys.stderr)
     sharp = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in names))
-    again = diagnose_scene(sharp)
-    return Inspection(sharp, replace(again, effects=again.effects | {"blur": findings.effects["blur"]}), names)
+    return Inspection(sharp, diagnose_scene(sharp).with_evidence(evidence), tuple(names))
 
 
 @dataclass(frozen=True)
@@ -70,14 +69,14 @@ class ChosenEffects:
     """The effects of a run."""
 
     effects: Effects = field(default_factory=dict)
-    initial: Start | None = None  # None: of no effects
+    start: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: the photos were not diagnosed
-    skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the run knows of one
+    skies: Masks = field(default_factory=dict)  # where photos show sky, if the run knows of one
 
     @property
     def names(self) -> tuple[str, ...]:
         """What the plan takes, see `gsjax.training.plan.Plan.with_effects`."""
-        return (*self.effects, *(("sky",) if self.skies else ()))
+        return (*self.effects, *((SKY,) if self.skies else ()))
 
     def with_own(self, effects: Effects) -> "ChosenEffects":
         """The same and a user's own effects, which are simulated without a decision.
@@ -92,14 +91,18 @@ class ChosenEffects:
 
     def photo_effects(self, state: EffectState | None) -> PhotoEffects:
         """What the state says of the photos."""
-        if state is None or self.initial is None:
+        if state is None or self.start is None:
             return PhotoEffects()
-        behind = state.numbers.get("background")
-        return PhotoEffects(
-            appearances(self.initial, state),
-            moves(self.initial, state),
-            None if behind is None else np.asarray(behind),
-        )
+        learned = self.start.learned(state.numbers)
+        return PhotoEffects(self.start.appearances(learned), learned.get("moves", {}), learned.get("background"))
+
+
+class Decision(NamedTuple):
+    """Which of the effects that "auto" proposes are simulated."""
+
+    proposed: tuple[str, ...] = ()
+    selection: frozenset[str] = frozenset()
+    validated: Mapping[str, ValidationGain] = MappingProxyType({})  # the gain of each that was validated
 
 
 def choose_effects(
@@ -109,7 +112,7 @@ def choose_effects(
     validate: Validate | None = None,
     inspection: Inspection | None = None,
     *,
-    skies: sky.Masks | None = None,
+    skies: Masks | None = None,
     with_sky: bool = False,
     before: Mapping[str, Any] | None = None,
 ) -> ChosenEffects:
@@ -132,48 +135,142 @@ def choose_effects(
     if request == NONE and skies is None and not with_sky:
         return ChosenEffects()
     inspection = inspection or inspect_photos(request, scene)
-    scene, findings = inspection.scene, inspection.diagnosis or diagnose_scene(inspection.scene)
-    if skies is not None:
-        findings = _with_given(findings, skies)
-    is_auto, with_sky = request == AUTO, with_sky or "sky" in named_effects(request)
-    selection, validated = set(named_effects(request)) - {"sky"}, {}
-    is_on = selection if not is_auto else {name for name in PROPOSED if findings.effects[name].on}
-    behind = findings.effects["background"]
-    if behind.on and _is_laid(findings, plan, is_on & {*SIMULATED}):
-        note = f"off: the background is {plan.background}; {behind.note}"
-        laid = {"background": behind._replace(on=False, note=note)}
-        findings = replace(findings, effects=findings.effects | laid)
-    if is_auto:
-        named = {"sky"} if with_sky or skies is not None else set()
-        proposed = [name for name in PROPOSED if findings.effects[name].on and name not in named]
-        selection, validated = _decided(findings, proposed, validate, before)
-        findings = replace(findings, effects=findings.effects | _noted(findings, proposed, selection, validated))
-    skies_in_photos = findings.plain if with_sky and skies is None else findings.sky
-    skies = skies_in_photos if with_sky or skies is not None or "sky" in selection else {}
-    if skies and not _is_laid(findings, plan, selection - {"background", "sky"}):
-        selection.add("background")
-    names = [name for name in SIMULATED if name in selection]
-    if skies:
-        print(f"train: {sky.summary(skies, scene.frames)}", file=sys.stderr)
-    elif with_sky:
-        raise InputError(f"sky: the photos of {scene.root} show no sky; effects.sky takes a folder of masks")
-    simulated = [*names, *(["sky"] if skies else [])]
-    print(f"train: {_line(findings, simulated, validated)}", file=sys.stderr)
-    evidence = {
+    diagnosis = _with_masks(inspection.diagnosis or diagnose_scene(inspection.scene), skies)
+    required = {*named_effects(request), *((SKY,) if with_sky or skies is not None else ())}
+    diagnosis = _without_needless(diagnosis, plan, _detected(diagnosis) if request == AUTO else required)
+    decision = Decision()
+    if request == AUTO:
+        proposed = tuple(name for name in _detected(diagnosis) if name not in required)
+        decision = _decide(diagnosis, proposed, validate, before)
+        diagnosis = _with_notes(diagnosis, decision)
+    names, masks = _selected(diagnosis, plan, required, decision)
+    if SKY in required and not masks:
+        raise InputError(f"sky: the photos of {inspection.scene.root} show no sky; effects.sky takes a folder of masks")
+    evidence = _report(inspection, diagnosis, decision, names, masks)
+    return replace(_simulate(request, plan, inspection.scene, diagnosis, names, masks), evidence=evidence)
+
+
+def _detected(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """The effects that "auto" may simulate and that the photos show, in the order in which they are validated."""
+    return tuple(name for name, kind in effect_kinds().items() if kind.is_proposed and diagnosis.effects[name].on)
+
+
+def _with_masks(diagnosis: Diagnosis, skies: Masks | None) -> Diagnosis:
+    """The diagnosis with a sky that was given, if one was, instead of what the photos show."""
+    if skies is None:
+        return diagnosis
+    note = f"given by masks: {sky.summary(skies, diagnosis.observations.frames)}"
+    evidence = sky.judge_masks(diagnosis.observations, skies)._replace(on=True, note=note)
+    return replace(diagnosis.with_evidence({SKY: evidence}), sky=skies, plain=skies)
+
+
+def _without_needless(diagnosis: Diagnosis, plan: Plan, names: Collection[str]) -> Diagnosis:
+    """The diagnosis without the effects that the colour under the renders replaces, seen through the named effects."""
+    off = {
+        name: evidence._replace(on=False, note=f"off: the background is {plan.background}; {evidence.note}")
+        for name, evidence in diagnosis.effects.items()
+        if evidence.on and _is_needless(name, diagnosis, plan, names)
+    }
+    return diagnosis.with_evidence(off)
+
+
+def _is_needless(name: str, diagnosis: Diagnosis, plan: Plan, names: Collection[str]) -> bool:
+    """Whether the colour that the run lays under its renders is enough, seen through the named effects on light."""
+    is_needless = effect_kinds()[name].is_needless
+    if is_needless is None or plan.background not in _PLAIN:
+        return False
+    observations = diagnosis.observations
+    reached = estimate_start(observations, names).light_range(observations.frames)
+    return is_needless(observations, _PLAIN[plan.background], *reached)
+
+
+def _decide(
+    diagnosis: Diagnosis, proposed: tuple[str, ...], validate: Validate | None, before: Mapping[str, Any] | None
+) -> Decision:
+    """Decide by the evidence where it is certain, else by validation; `before` has the decision of a resumed run."""
+    if before is not None:
+        validated = {name: ValidationGain(**each) for name, each in before.get("validated", {}).items()}
+        return Decision(proposed, frozenset(before["simulated"]), validated)
+    kinds, evidence = effect_kinds(), diagnosis.effects
+    certain = {name for name in proposed if evidence[name].is_certain}
+    certain |= {behind for name in certain if (behind := kinds[name].uncovers)}
+    doubtful = [name for name in proposed if name not in certain]
+    validated = validate(diagnosis.observations, doubtful) if validate and doubtful else {}
+    passed = {name for name, gain in validated.items() if gain.passes}
+    if not validated:
+        alone = [name for name in doubtful if kinds[name].on_evidence]
+        passed = {name for name in alone if (evidence[name].value or 0) > STRICTER * evidence[name].threshold}
+    return Decision(proposed, frozenset(certain | passed), validated)
+
+
+def _with_notes(diagnosis: Diagnosis, decision: Decision) -> Diagnosis:
+    """The diagnosis with the validated gain and the decision in the note of each proposed effect."""
+    uncovered = {kind.uncovers: name for name, kind in effect_kinds().items() if name in decision.selection}
+    evidence = {}
+    for name in decision.proposed:
+        verdict = "simulated" if name in decision.selection else "not simulated"
+        why = "not validated, the run is too short"
+        if name in uncovered:
+            why = f"part of the {uncovered[name]}"
+        elif diagnosis.effects[name].is_certain:
+            why = "certain without validation"
+        elif name in decision.validated:
+            why = f"gains {decision.validated[name]} in a validation run (needs {WORTH:g})"
+        note = f"{verdict}: {why}; {diagnosis.effects[name].note}"
+        evidence[name] = diagnosis.effects[name]._replace(note=note)
+    return diagnosis.with_evidence(evidence)
+
+
+def _selected(
+    diagnosis: Diagnosis, plan: Plan, required: Collection[str], decision: Decision
+) -> tuple[tuple[str, ...], Masks]:
+    """The effects whose numbers training learns, and where photos show sky: a sky enables what its term uncovers."""
+    selection, masks = {*required, *decision.selection}, {}
+    if SKY in selection:
+        masks = diagnosis.plain if SKY in required else diagnosis.sky
+    behind = effect_kinds()[SKY].uncovers
+    if masks and behind and not _is_needless(behind, diagnosis, plan, selection):
+        selection.add(behind)
+    return tuple(name for name in simulated_kinds() if name in selection), masks
+
+
+def _report(
+    inspection: Inspection, diagnosis: Diagnosis, decision: Decision, names: tuple[str, ...], masks: Masks
+) -> dict[str, Any]:
+    """Print which effects are simulated and which of the proposed ones are not; the record of the manifest."""
+    simulated, validated = [*names, *((SKY,) if masks else ())], decision.validated
+
+    def listed(effects: Collection[str]) -> str:
+        return ", ".join(f"{name} ({validated[name]})" if name in validated else name for name in effects)
+
+    rejected = [name for name in EFFECTS if name in {*decision.proposed, *validated} and name not in simulated]
+    line = f"effects: {listed(simulated) or 'none that the photos show'}"
+    if masks:
+        print(f"train: {sky.summary(masks, inspection.scene.frames)}", file=sys.stderr)
+    print(f"train: {line}{f'; not simulated: {listed(rejected)}' if rejected else ''}", file=sys.stderr)
+    return {
         "simulated": simulated,
         "left_out": list(inspection.left_out),
-        "evidence": findings.record()["effects"],
-        "validated": {name: each._asdict() for name, each in validated.items()},
+        "evidence": diagnosis.record()["effects"],
+        "validated": {name: gain._asdict() for name, gain in validated.items()},
     }
+
+
+def _simulate(
+    request: str, plan: Plan, scene: Scene, diagnosis: Diagnosis, names: Collection[str], masks: Masks
+) -> ChosenEffects:
+    """The named effects, from where photos and tracks imply that they start."""
     if not names:
-        return ChosenEffects(skies=skies, evidence=evidence)
-    if "background" in names and any(facts.has_matte for facts in findings.observations.facts):
+        return ChosenEffects(skies=masks)
+    start = estimate_start(diagnosis.observations, names, masks)
+    effects = start.simulations(_rate(plan))
+    behind = [name for name, effect in effects.items() if effect.behind]
+    if behind and any(facts.has_matte for facts in diagnosis.observations.facts):
         raise InputError(
             f"effects={request}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
-            " leave background out"
+            f" leave {' and '.join(behind)} out"
         )
-    start_values = start(findings.observations, names, skies)
-    return ChosenEffects(simulations(start_values, names, _rate(plan)), start_values, evidence, skies)
+    return ChosenEffects(effects, start, skies=masks)
 
 
 def _rate(plan: Plan) -> Callable[..., optax.Schedule]:
@@ -183,79 +280,11 @@ def _rate(plan: Plan) -> Callable[..., optax.Schedule]:
     return partial(learning_rate, plan.steps, reset_every=density.reset_every, resets_stop=resets_stop)
 
 
-def _decided(
-    findings: Diagnosis, proposed: Sequence[str], validate: Validate | None, before: Mapping[str, Any] | None
-) -> tuple[set[str], dict[str, ValidationGain]]:
-    """The proposed effects that are simulated, and the gain of each that was validated."""
-    if before is not None:
-        stored = before.get("validated", {})
-        return {*before["simulated"]}, {name: ValidationGain(**each) for name, each in stored.items()}
-    certain = {name for name in proposed if findings.effects[name].is_certain}
-    if "sky" in certain:
-        certain |= {"background"}  # what its term uncovers
-    doubtful = [name for name in proposed if name not in certain]
-    validated = validate(findings.observations, doubtful) if validate and doubtful else {}
-    if not validated:
-        evidence = {name: findings.effects[name] for name in doubtful if name in UNVALIDATED}
-        return certain | {name for name, each in evidence.items() if (each.value or 0) > STRICTER * each.threshold}, {}
-    return certain | {name for name, each in validated.items() if each.passes}, validated
-
-
-def _noted(
-    findings: Diagnosis, proposed: Sequence[str], selection: Collection[str], validated: Mapping[str, ValidationGain]
-) -> dict[str, Evidence]:
-    """The evidence of the proposed effects, with the validated gain and the decision in its note."""
-    notes = {}
-    for name in proposed:
-        decision = "simulated" if name in selection else "not simulated"
-        why = "not validated, the run is too short"
-        why = f"gains {validated[name]} in a validation run (needs {WORTH:g})" if name in validated else why
-        why = "certain without validation" if findings.effects[name].is_certain else why
-        why = "part of the sky" if name == "background" and "sky" in selection else why
-        notes[name] = findings.effects[name]._replace(note=f"{decision}: {why}; {findings.effects[name].note}")
-    return notes
-
-
-def _line(findings: Diagnosis, simulated: Sequence[str], validated: Mapping[str, ValidationGain]) -> str:
-    """Which effects are simulated and which of the proposed ones are not, each with its validated gain."""
-
-    def text_of(name: str) -> str:
-        return f"{name} ({validated[name]})" if name in validated else name
-
-    rejected = [
-        text_of(name)
-        for name in PROPOSED
-        if name not in simulated and (name in validated or findings.effects[name].note.startswith("not simulated"))
-    ]
-    line = f"effects: {', '.join(map(text_of, simulated)) or 'none that the photos show'}"
-    return f"{line}; not simulated: {', '.join(rejected)}" if rejected else line
-
-
-def _with_given(findings: Diagnosis, skies: sky.Masks) -> Diagnosis:
-    """The diagnosis with a sky that was given instead of what the photos show."""
-    evidence = sky.judge_masks(findings.observations, skies)
-    sky_evidence = evidence._replace(
-        on=True, note=f"given by masks: {sky.summary(skies, findings.observations.frames)}"
-    )
-    return replace(findings, sky=skies, effects=findings.effects | {"sky": sky_evidence})
-
-
-def _is_laid(findings: Diagnosis, plan: Plan, light: Collection[str]) -> bool:
-    """Whether what looks like sky is the colour that the run lays under its renders, seen through effects on light."""
-    if plan.background not in _PLAIN:
-        return False
-    reached = light_range(start(findings.observations, light), findings.observations.frames, light)
-    return background.is_one(findings.observations, _PLAIN[plan.background], *reached)
-
-
 def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:
     """Gains of all photos as their tracks imply them, no fall-off: to score a scene that took nothing in.
 
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
-    start_values = start(observe(scene), ("exposure",))
-    return {
-        name: Appearance(tuple(gains.tolist()), (0.0, 0.0))
-        for name, gains in zip(start_values.names, start_values.log_gains, strict=True)
-    }
+    start = estimate_start(observe(scene), ("exposure",))
+    return start.appearances(start.learned())

@@ -5,14 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from gsjax.effects.kinds import effect_kinds
 from gsjax.errors import InputError
 from gsjax.io.messages import first_names, print_once
 from gsjax.scene import Frame, Scene
-from gsjax.settings import EFFECTS
 
 SHAPE = {"train": [str], "held_out": [str]}
-PER_PHOTO = tuple(name for name, kind in EFFECTS.items() if kind.per_photo)
-"""Effects of which a checkpoint holds one row for each photo that is trained on."""
 
 Split = Mapping[str, bool]
 """A photo's name -> whether it is held out."""
@@ -61,8 +59,9 @@ def missing_photos(frames: Iterable[Frame], split: Split) -> list[str]:
 
 
 def require_photos_of_effects(scene: Scene, split: Split, manifest: Mapping[str, Any], *, run: Path) -> None:
-    """InputError where the scene lacks a photo of which the run's checkpoint has a row, see `PER_PHOTO`."""
-    simulated = [name for name in manifest.get("effects", {}).get("simulated", ()) if name in PER_PHOTO]
+    """InputError where the scene lacks a photo of which the run's checkpoint has a row, of an effect `per_photo`."""
+    per_photo = [name for name, kind in effect_kinds().items() if kind.per_photo]
+    simulated = [name for name in manifest.get("effects", {}).get("simulated", ()) if name in per_photo]
     absent = [name for name in missing_photos(scene.frames, split) if not split[name]]
     if simulated and absent:
         raise InputError(

@@ -11,7 +11,7 @@ from typing import Any, Self, TypeVar
 
 from jax import Array
 
-from gsjax.effects import transients
+from gsjax.effects.kinds import effect_kinds
 from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Schedule, Settings, Supervision
@@ -99,12 +99,14 @@ class Plan:
         return last if last < len(self.phases) else None
 
     def with_effects(self, names: Iterable[str]) -> Self:
-        """The plan of a run that simulates these effects: masks of transients delay densification, a sky has a term."""
-        names = tuple(names)
-        growing = sum(phase.steps for phase in self.phases if phase.rule)
-        density = transients.delay_densification(self.density, growing) if "transients" in names else self.density
-        whole = self.with_terms(weights_of_data("sky", SKY_WEIGHT)) if "sky" in names else self
-        return replace(whole, effects=names, density=density)
+        """The plan of a run that simulates these effects: some delay densification, or add a term of the loss."""
+        planned, growing = replace(self, effects=tuple(names)), sum(phase.steps for phase in self.phases if phase.rule)
+        for name, kind in effect_kinds().items():
+            if name in planned.effects and kind.delay_densification is not None:
+                planned = replace(planned, density=kind.delay_densification(planned.density, growing))
+            if name in planned.effects and kind.masked_terms is not None:
+                planned = planned.with_terms(weights_of_data(kind.masked_terms, SKY_WEIGHT))
+        return planned
 
     def with_terms(self, weights: Mapping[str, float]) -> Self:
         """The plan whose phases have these terms as well; of one that a phase has already the larger weight counts."""

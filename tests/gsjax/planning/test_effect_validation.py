@@ -10,7 +10,11 @@ from scipy.spatial.transform import Rotation
 from small_scenes import built_in
 
 from gsjax.config import parse
+from gsjax.effects.diagnosis import diagnose
+from gsjax.effects.evidence import Evidence
+from gsjax.effects.kinds import EffectKind
 from gsjax.effects.observations import observe
+from gsjax.effects.simulation import Effect, light_in_photo
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effect_runs import held_out_blocks, without_blocks
 from gsjax.planning.effect_validation import EffectValidation, select, steps_of_each
@@ -21,7 +25,7 @@ from gsjax.planning.start import first_state
 from gsjax.planning.validation import ValidationGain, compared
 from gsjax.presets import PRESETS
 from gsjax.scene import Pixels, frame_of
-from gsjax.settings import Model, Phase, Schedule, Settings
+from gsjax.settings import EFFECTS, Model, Phase, Schedule, Settings
 from gsjax.training.densification.rules import rule_named
 from gsjax.training.plan import plan
 
@@ -176,6 +180,20 @@ def test_evidence_proposes_and_validation_decides(gain, simulated, capsys):
     again = choose_effects("auto", plan(SETTINGS), photos, validate, before=record)
     assert again.names == choice.names and len(calls) == 1
     assert all(again.evidence[key] == record[key] for key in ("simulated", "validated"))
+
+
+EFFECT = EffectKind(
+    lambda findings: Evidence(len(findings.steps) == 12, 1.0, "", 0.0, 0.5, "dusk"),
+    lambda start, photos, rate: Effect(np.float32(0.5), rate(), light=lambda numbers, colors, batch: numbers * colors),
+)
+
+
+def test_one_line_registers_an_effect_that_is_diagnosed_proposed_and_simulated(monkeypatch):
+    monkeypatch.setitem(EFFECTS, "dusk", __name__)
+    assert diagnose(wall()).effects["dusk"].note == "dusk"
+    choice = choose_effects("auto", plan(SETTINGS), wall(), lambda *_: {"dusk": ValidationGain(0.5, 0.1)})
+    assert choice.names == choose_effects("dusk", plan(SETTINGS), wall()).names == ("dusk",)
+    assert light_in_photo(choice.effects, {"dusk": choice.effects["dusk"].initial}, 0.8, None) == pytest.approx(0.4)
 
 
 def test_without_validation_evidence_must_be_stronger_and_corners_are_left_alone(capsys):
