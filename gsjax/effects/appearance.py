@@ -1,12 +1,13 @@
 """How each photo was taken: the light of its camera, and of photos near it."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from gsjax.effects import vignetting
+from gsjax.effects.simulation import Effects, reports
 from gsjax.scene import Frame, with_pixels
 from gsjax.scene.cameras import Camera, viewmat_center
 
@@ -17,14 +18,33 @@ SAME_PLACE = 1e-6  # squared distance, see `as_near_photos`, below which a photo
 class Appearance(NamedTuple):
     """What one photo makes of light: display-coded values are multiplied by the exponential of this."""
 
-    log_gains: tuple[float, float, float]
-    falloff: tuple[float, float]  # see `gsjax.effects.vignetting.falloff`
+    log_gains: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    falloff: tuple[float, float] = (0.0, 0.0)  # see `gsjax.effects.vignetting.falloff`
 
     def factor(self, frame: Frame) -> np.ndarray:
         """`[H, W, 3]` float32 for the pixels of its frame."""
         camera = Camera(jnp.asarray(frame.viewmat), jnp.asarray(frame.K), frame.width, frame.height)
         falloff = np.asarray(vignetting.falloff(jnp.asarray(self.falloff, jnp.float32), camera))
         return np.exp(falloff[..., None] + np.asarray(self.log_gains, np.float32))
+
+
+def appearances(reports: Mapping[str, Any]) -> dict[str, Appearance]:
+    """Of every photo, by name, by what `gsjax.effects.simulation.reports`. Empty where nothing changes the light."""
+    fields = {field: reports[field] for field in Appearance._fields if field in reports}
+    names = next(iter(fields.values()), ())
+    return {name: Appearance(**{field: tuple(fields[field][name]) for field in fields}) for name in names}
+
+
+def light_range(effects: Effects, frames: Sequence[Frame]) -> tuple[np.ndarray, np.ndarray]:
+    """`[V, 3]` what each photo multiplies display-coded light by, at most and at least, as the effects start."""
+    looks = appearances(reports(effects, {name: effect.initial for name, effect in effects.items()}))
+    every = [looks.get(frame.name, Appearance()) for frame in frames]
+    sizes = np.array([(frame.width, frame.height) for frame in frames])
+    centers, focals = (np.array([get(frame.K) for frame in frames]) for get in (lambda K: K[:2, 2], np.diagonal))
+    tangents2 = np.square(np.maximum(centers, sizes - centers) / focals[:, :2]).sum(-1)
+    corners = np.stack([tangents2, np.square(tangents2)], -1) * np.array([look.falloff for look in every])
+    gains = np.array([look.log_gains for look in every])
+    return np.exp(gains), np.exp(gains + corners.sum(-1, keepdims=True))
 
 
 def as_near_photos(frames: Sequence[Frame], looks: Mapping[str, Appearance]) -> dict[str, Appearance]:

@@ -1,15 +1,14 @@
 """Open sky or a bare backdrop: light that comes from no surface, and so from no Gaussian."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 import optax
 
 from gsjax.effects import parallax, sky
 from gsjax.effects.evidence import Evidence, Findings, Masks, unknown
-from gsjax.effects.kinds import EffectKind, PhotoSet
+from gsjax.effects.kinds import EffectKind, Rate, StartInputs
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
 from gsjax.rendering import backdrop
@@ -113,10 +112,10 @@ def is_one(observations: Observations, color: float, most: np.ndarray, least: np
     return bool(off < _ONE_COLOR)
 
 
-def simulate(coefficients: np.ndarray, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
-    """The effect of a run."""
-    del photos
-    return make_effect(coefficients, rate(peak=RATE, hold=0))
+def simulate(inputs: StartInputs, rate: Rate) -> Effect:
+    """The effect of a run, from the colours of what looks like sky."""
+    effect = make_effect(initial(inputs.observations, inputs.skies), rate(peak=RATE, hold=0))
+    return effect._replace(report=lambda numbers: {"background": np.asarray(numbers)})
 
 
 def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
@@ -124,16 +123,4 @@ def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
     return Effect(np.asarray(coefficients, np.float32), rate, behind=backdrop.color_behind)
 
 
-def learned(coefficients: np.ndarray, numbers: Any, photos: PhotoSet) -> dict[str, Any]:
-    """The coefficients."""
-    del photos
-    return {"background": np.asarray(coefficients if numbers is None else numbers)}
-
-
-EFFECT = EffectKind(
-    judge,
-    simulate,
-    start=lambda inputs: initial(inputs.observations, inputs.skies),
-    learned=learned,
-    is_needless=is_one,
-)
+EFFECT = EffectKind(judge, simulate, is_needless=is_one)

@@ -1,6 +1,5 @@
 """Exposure and white balance: photos of one scene that differ by a factor in every channel."""
 
-from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,7 +9,7 @@ from jax import Array
 
 from gsjax.effects import simulation
 from gsjax.effects.evidence import Evidence, Findings, unknown
-from gsjax.effects.kinds import EffectKind, PhotoSet, StartInputs
+from gsjax.effects.kinds import EffectKind, Rate, StartInputs
 from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.scene.batches import Batch
 
@@ -43,18 +42,27 @@ def judge(findings: Findings) -> Evidence:
     return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, note)
 
 
-def start(inputs: StartInputs) -> np.ndarray:
-    """`[V, 3]` logarithms of the photos' factors by their tracks, mean zero over the photos that are trained on."""
-    gains, trained = inputs.fit.gains, inputs.photos.trained
+def simulate(inputs: StartInputs, rate: Rate) -> Effect:
+    """The effect of a run, from what the tracks imply. Near its start, it explains less of what a scene lacks yet."""
+    names, trained, start_gains = inputs.names, inputs.trained, gains_of_tracks(inputs)
+
+    def report(numbers: Array) -> dict[str, Any]:
+        # No pixel of a held-out photo has been used but its keypoints.
+        gains = start_gains.copy()
+        gains[trained] = np.asarray(log_gains(jnp.asarray(numbers)))
+        return {"log_gains": dict(zip(names, gains.tolist(), strict=True))}
+
+    peak = RATE_KNOWN if inputs.observations.tracked else RATE
+    return make_effect(start_gains[trained], rate(peak=peak))._replace(report=report)
+
+
+def gains_of_tracks(inputs: StartInputs) -> np.ndarray:
+    """`[V, 3]` float32 logarithms of the photos' factors, mean zero over the photos that are trained on."""
+    gains, trained = inputs.fit.gains, inputs.trained
     has_gain = np.bincount(inputs.light.photo, minlength=len(trained)) > 0
     if not (has_gain & trained).any():
         return np.zeros((len(trained), 3), np.float32)
     return np.where(has_gain[:, None], gains - gains[has_gain & trained].mean(0), 0.0).astype(np.float32)
-
-
-def simulate(start_gains: np.ndarray, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
-    """The effect of a run. Near its start, an effect explains less of what a scene lacks yet."""
-    return make_effect(start_gains[photos.trained], rate(peak=RATE_KNOWN if photos.tracked else RATE))
 
 
 def make_effect(initial: np.ndarray, rate: optax.Schedule) -> Effect:
@@ -75,12 +83,4 @@ def log_gains(numbers: Array) -> Array:
     return jnp.clip(numbers - jnp.mean(numbers, axis=0, keepdims=True), -LIMIT, LIMIT)
 
 
-def learned(start_gains: np.ndarray, numbers: Any, photos: PhotoSet) -> dict[str, Any]:
-    """Gains as learned, those of held-out photos as their tracks imply: of these no pixel is used but the keypoints."""
-    gains = start_gains.copy()
-    if numbers is not None:
-        gains[photos.trained] = np.asarray(log_gains(jnp.asarray(numbers)))
-    return {"log_gains": gains}
-
-
-EFFECT = EffectKind(judge, simulate, start, learned=learned, on_evidence=True, per_photo=True)
+EFFECT = EffectKind(judge, simulate, on_evidence=True, per_photo=True)

@@ -1,45 +1,59 @@
-"""The record of an effect: all that diagnosis, planning, training and reports need to know of one."""
+"""The record of an effect: all that diagnosis, planning and training need to know of one."""
 
 import importlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 import optax
 
 from gsjax.effects.evidence import Evidence, Findings, Masks
 from gsjax.effects.observations import Observations
-from gsjax.effects.photo_gains import Fit, Table
-from gsjax.effects.simulation import Effect
+from gsjax.effects.photo_gains import Fit, Table, fit, table
+from gsjax.effects.simulation import Effect, Effects
 from gsjax.settings import EFFECTS, Density
+
+Rate = Callable[..., optax.Schedule]
+"""Schedule of a run by `peak`, `hold`, `share` and `final`, see `gsjax.effects.simulation.learning_rate`."""
 
 
 @dataclass(frozen=True)
-class PhotoSet:
-    """V photos by C cameras, before any training."""
-
-    names: tuple[str, ...]  # of the photos
-    trained: np.ndarray  # [V] bool: not held out
-    camera: np.ndarray  # [V] int32, whose camera, 0..C-1
-    centers: np.ndarray  # [V, 3] float64 of the cameras, world
-    distance: float  # scene units: the median depth of the points in all photos
-    tracked: bool  # whether any point was matched in any photo
-
-    @property
-    def num_cameras(self) -> int:
-        """C."""
-        return int(self.camera.max()) + 1
-
-
-class StartInputs(NamedTuple):
-    """What the start of an effect is computed from."""
+class StartInputs:
+    """What photos and tracks imply before any training, of V photos by C cameras."""
 
     observations: Observations
-    photos: PhotoSet
-    skies: Masks  # where photos show sky, if the run knows of one
-    light: Table  # logarithms of display-coded colours, which training compares, less what other effects explain
-    fit: Fit  # of `light`
+    skies: Masks = field(default_factory=dict)  # where photos show sky, if the run knows of one
+    explained: np.ndarray | float = 0.0  # [O, 1] logarithm of light that other effects explain
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the photos."""
+        return tuple(frame.name for frame in self.observations.frames)
+
+    @property
+    def trained(self) -> np.ndarray:
+        """`[V]` bool: not held out."""
+        return np.array([not frame.held_out for frame in self.observations.frames])
+
+    @property
+    def camera(self) -> np.ndarray:
+        """`[V]` int32, whose camera, 0..C-1."""
+        cameras = [(frame.width, frame.height, frame.K.tobytes()) for frame in self.observations.frames]
+        distinct = list(dict.fromkeys(cameras))
+        return np.array([distinct.index(camera) for camera in cameras], np.int32)
+
+    @cached_property
+    def light(self) -> Table:
+        """Logarithms of display-coded colours, which training compares, without what other effects explain."""
+        seen = self.observations
+        return table(np.log(seen.colors) - self.explained, seen.photo, seen.point, len(seen.frames))
+
+    @cached_property
+    def fit(self) -> Fit:
+        """The same robust fit of that light as the evidence has."""
+        return fit(self.light)
 
 
 @dataclass(frozen=True)
@@ -47,20 +61,15 @@ class EffectKind:
     """One effect, and how it is treated. A function that is None does not apply to it."""
 
     judge: Callable[[Findings], Evidence]
-    # (start, photos, schedule of the run by `peak`, `hold`, `share` and `final`) -> what training simulates
-    simulate: Callable[[Any, PhotoSet, Callable[..., optax.Schedule]], Effect] | None = None
-    start: Callable[[StartInputs], Any] | None = None  # what tracks and photos imply before any training
-    # (start, inputs) -> `[N, 1]`, what it explains of `StartInputs.light`; such effects start before all others
-    explain: Callable[[Any, StartInputs], np.ndarray] | None = None
-    # (start, numbers after training, None: before, photos) -> fields of `gsjax.effects.start.Learned`
-    learned: Callable[[Any, Any, PhotoSet], dict[str, Any]] | None = None
+    simulate: Callable[[StartInputs, Rate], Effect] | None = None  # over the photos that are trained on
+    explain: Callable[[StartInputs], np.ndarray] | None = None  # `[O, 1]` logarithm of light that it explains
     is_proposed: bool = True  # "auto" may enable it
     on_evidence: bool = False  # a run that is too short for validation simulates it on evidence alone
     per_photo: bool = False  # a checkpoint has one row for each training photo
     photos_to_leave_out: Callable[[Observations], tuple[str, ...]] | None = None  # names
     # (photos, grey under the renders, most and least `[V, 3]` that photos multiply light by) -> whether that is enough
     is_needless: Callable[[Observations, float, np.ndarray, np.ndarray], bool] | None = None
-    uncovers: str | None = None  # the effect that is seen where this one removes Gaussians
+    uncovers: str | None = None  # the effect that is visible where this one removes Gaussians
     masked_terms: str | None = None  # its masks enable the loss terms that need this word of `training.terms.NEEDS`
     delay_densification: Callable[[Density, int], Density] | None = None  # by the steps of the phases that densify
 
@@ -68,3 +77,17 @@ class EffectKind:
 def effect_kinds() -> Mapping[str, EffectKind]:
     """The records of all effects by name, in the order in which they are validated."""
     return {name: importlib.import_module(module).EFFECT for name, module in EFFECTS.items()}
+
+
+def simulations(
+    observations: Observations, names: Collection[str], rate: Rate, skies: Masks = MappingProxyType({})
+) -> Effects:
+    """Those of the named effects that training simulates, from where photos and tracks imply that they start."""
+    kinds, inputs = effect_kinds(), StartInputs(observations, skies)
+    explained = {name: kind.explain(inputs) for name, kind in kinds.items() if kind.explain and name in names}
+    effects = {}
+    for name, kind in kinds.items():
+        if kind.simulate and name in names:
+            of_others = sum(light for other, light in explained.items() if other != name)
+            effects[name] = kind.simulate(replace(inputs, explained=of_others), rate)
+    return effects

@@ -1,6 +1,5 @@
 """Poses that contradict the tracks, and cameras whose poses training corrects."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -12,12 +11,12 @@ from jax import Array
 
 from gsjax.effects.camera_twists import apply_twist, gauge
 from gsjax.effects.evidence import Evidence, Findings, unknown
-from gsjax.effects.kinds import EffectKind, PhotoSet
+from gsjax.effects.kinds import EffectKind, Rate, StartInputs
 from gsjax.effects.observations import Observations
 from gsjax.effects.pose_steps import gauss_newton_steps
 from gsjax.effects.simulation import Effect
 from gsjax.scene import Frame
-from gsjax.scene.cameras import Camera
+from gsjax.scene.cameras import Camera, viewmat_center
 
 THRESHOLD = 0.3  # pixels
 SHARE = 0.2  # of the photos must want to move
@@ -64,16 +63,18 @@ def twists_from_tracks(observations: Observations) -> np.ndarray:
     return photo_twists
 
 
-def simulate(start_twists: np.ndarray, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
-    """The effect of a run."""
-    return make_effect(
-        photos.centers[photos.trained],
-        photos.distance,
-        photos.camera[photos.trained],
-        photos.num_cameras,
-        rate(peak=RATE_KNOWN if photos.tracked else RATE, hold=HOLD, share=HOLD_SHARE),
-        start_twists[photos.trained],
-    )
+def simulate(inputs: StartInputs, rate: Rate) -> Effect:
+    """The effect of a run, from what the tracks imply."""
+    frames, names, trained, whose = inputs.observations.frames, inputs.names, inputs.trained, inputs.camera
+    centers = np.stack([viewmat_center(frame.viewmat.astype(np.float64)) for frame in frames])
+    unit, start_twists = _median_depth(inputs.observations), twists_from_tracks(inputs.observations)
+    schedule = rate(peak=RATE_KNOWN if inputs.observations.tracked else RATE, hold=HOLD, share=HOLD_SHARE)
+
+    def report(numbers: Any) -> dict[str, Any]:
+        return {"moves": dict(zip(names, moves(numbers, centers, unit, trained, whose), strict=True))}
+
+    effect = make_effect(centers[trained], unit, whose[trained], whose.max() + 1, schedule, start_twists[trained])
+    return effect._replace(report=report)
 
 
 def make_effect(
@@ -133,26 +134,26 @@ def _moved_and_zoomed(camera: Camera, twist: Array, focal: Array) -> Camera:
     return zoom_camera(apply_twist(camera, twist, 1.0), focal)
 
 
-def learned(start_twists: np.ndarray, numbers: Any, photos: PhotoSet) -> dict[str, Any]:
-    """The move of each camera by its photo's name. Held-out photos keep their pose, and share a camera's focal length.
+def moves(numbers: Any, centers: np.ndarray, unit: float, trained: np.ndarray, whose: np.ndarray) -> tuple[Move, ...]:
+    """Of all V photos after training. Those that are held out keep their pose, and share their camera's focal length.
 
-    Before training there are none.
+    `numbers` are of the photos that are trained on (`trained` `[V]` bool), the rest as in `make_effect`.
     """
-    if numbers is None:
-        return {}
-    fixed, units = gauge(photos.centers[photos.trained], photos.distance), np.repeat([1.0, photos.distance], 3)
-    photo_twists = np.zeros_like(start_twists)
-    photo_twists[photos.trained] = np.asarray(twists(numbers, fixed)) * units
+    photo_twists = np.zeros((len(centers), 6))
+    photo_twists[trained] = np.asarray(twists(numbers, gauge(centers[trained], unit))) * np.repeat([1.0, unit], 3)
     focals = np.exp(np.asarray(log_focals(numbers), np.float64))
-    rows = zip(photos.names, photo_twists.tolist(), focals[photos.camera].tolist(), strict=True)
-    return {"moves": {name: Move(tuple(twist[:3]), tuple(twist[3:]), focal) for name, twist, focal in rows}}
+    rows = zip(photo_twists.tolist(), focals[whose].tolist(), strict=True)
+    return tuple(Move(tuple(twist[:3]), tuple(twist[3:]), focal) for twist, focal in rows)
 
 
-EFFECT = EffectKind(
-    judge,
-    simulate,
-    start=lambda inputs: twists_from_tracks(inputs.observations),
-    learned=learned,
-    on_evidence=True,
-    per_photo=True,
-)
+def _median_depth(observations: Observations) -> float:
+    """Of some points in front of the cameras; the spread of the cameras where there are none."""
+    points = observations.points[:: max(1, len(observations.points) // 1000)]
+    depths = np.concatenate([points @ frame.viewmat[2, :3] + frame.viewmat[2, 3] for frame in observations.frames])
+    if (depths > 0).any():
+        return float(np.median(depths[depths > 0]))
+    centers = np.stack([frame.viewmat[:3, 3] for frame in observations.frames])
+    return float(np.linalg.norm(centers - centers.mean(0), axis=1).max()) or 1.0
+
+
+EFFECT = EffectKind(judge, simulate, on_evidence=True, per_photo=True)

@@ -39,6 +39,7 @@ class Effect(NamedTuple):
     light: Callable[[Any, Array, Batch], Array] | None = None  # (numbers, `[H, W, 3]` before the lens, view) -> photo
     # (numbers, photo as rendered, view) -> `[H, W]` bool pixels that show the scene, `[]` what is added to the loss
     trusts: Callable[[Any, Array, Batch], tuple[Array, Array]] | None = None
+    report: Callable[[Any], dict[str, Any]] | None = None  # numbers -> what the run folder has of them, see `reports`
 
 
 Effects = Mapping[str, Effect]
@@ -62,6 +63,16 @@ def initial_state(effects: Effects) -> EffectState | None:
         return None
     numbers = {name: jax.tree.map(jnp.asarray, effect.initial) for name, effect in effects.items()}
     return EffectState(numbers, {name: _adam(effects[name]).init(value) for name, value in numbers.items()})
+
+
+def reports(effects: Effects, numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """What the effects report of their numbers by name: each has some of these, and no other effect has the same.
+
+    `log_gains` and `falloff` of `gsjax.effects.appearance.Appearance` and `moves` of `gsjax.effects.poses.Move`, each
+    by the photo's name, and `background`, as `gsjax.rendering.backdrop` has it.
+    """
+    of_effects = [effect.report(numbers[name]) for name, effect in effects.items() if effect.report]
+    return {key: value for each in of_effects for key, value in each.items()}
 
 
 def move_camera(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, photo: Array | None) -> Camera:

@@ -5,7 +5,6 @@ RobustNeRF, Sabour et al. 2023, and SpotLessSplats for Gaussians). Nothing is le
 the residuals of all photos: one that shows nothing foreign keeps nearly all of its pixels.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -15,7 +14,7 @@ import optax
 from jax import Array
 
 from gsjax.effects.evidence import Evidence, Findings, unknown
-from gsjax.effects.kinds import EffectKind, PhotoSet
+from gsjax.effects.kinds import EffectKind, Rate, StartInputs
 from gsjax.effects.simulation import Effect
 from gsjax.numerics import masked_mean
 from gsjax.scene.batches import Batch
@@ -42,9 +41,9 @@ def judge(findings: Findings) -> Evidence:
     return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, note)
 
 
-def simulate(start: None, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
+def simulate(inputs: StartInputs, rate: Rate) -> Effect:
     """The effect of a run."""
-    del start, photos
+    del inputs
     return make_effect(rate(peak=RATE, hold=0, final=1.0))
 
 

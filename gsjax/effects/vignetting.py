@@ -1,6 +1,5 @@
 """Vignetting: photos that are darker towards their corners."""
 
-from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
@@ -9,7 +8,7 @@ import optax
 from jax import Array
 
 from gsjax.effects.evidence import Evidence, Findings, unknown
-from gsjax.effects.kinds import EffectKind, PhotoSet, StartInputs
+from gsjax.effects.kinds import EffectKind, Rate, StartInputs
 from gsjax.effects.observations import Observations
 from gsjax.effects.photo_gains import Fit, Gains, Table, fit, project
 from gsjax.effects.simulation import LIMIT, Effect
@@ -83,27 +82,26 @@ def judge(findings: Findings) -> Evidence:
     return Evidence(bool(on), -slope, "EV", error, THRESHOLD, note)
 
 
-def start(inputs: StartInputs) -> np.ndarray:
-    """`[C, 2]` float64 coefficients by the tracks, the same of every camera: of the tangent squared, and zero."""
-    slope = 0.0
-    if len(inputs.light.photo):
-        slope = min(slope_on(inputs.observations.tangents2, inputs.light, inputs.fit)[0], 0.0)
-    return np.tile(np.array([slope, 0.0]), (inputs.photos.num_cameras, 1))
+def simulate(inputs: StartInputs, rate: Rate) -> Effect:
+    """The effect of a run: the fall-off that the tracks imply of all cameras together, then of each its own."""
+    names, camera = inputs.names, inputs.camera
+    start_numbers = np.tile(np.array([_slope(inputs), 0.0]), (camera.max() + 1, 1))
+
+    def report(numbers: Array) -> dict[str, Any]:
+        return {"falloff": dict(zip(names, np.asarray(numbers)[camera].tolist(), strict=True))}
+
+    return make_effect(start_numbers, camera[inputs.trained], rate())._replace(report=report)
 
 
-def explain(coefficients: np.ndarray, inputs: StartInputs) -> np.ndarray:
-    """`[N, 1]` what the fall-off that `start` found explains of the light of the tracks."""
-    return coefficients[0, 0] * inputs.observations.tangents2[inputs.light.rows][:, None]
+def explain(inputs: StartInputs) -> np.ndarray:
+    """`[O, 1]` logarithm of light that the fall-off explains, by the tracks."""
+    return _slope(inputs) * inputs.observations.tangents2[:, None]
 
 
-def simulate(coefficients: np.ndarray, photos: PhotoSet, rate: Callable[..., optax.Schedule]) -> Effect:
-    """The effect of a run."""
-    return make_effect(coefficients, photos.camera[photos.trained], rate())
-
-
-def learned(coefficients: np.ndarray, numbers: Any, photos: PhotoSet) -> dict[str, Any]:
-    """The fall-off of each photo's camera."""
-    return {"falloff": np.asarray(coefficients if numbers is None else numbers, np.float32)[photos.camera]}
+def _slope(inputs: StartInputs) -> float:
+    if not len(inputs.light.photo):
+        return 0.0
+    return min(slope_on(inputs.observations.tangents2, inputs.light, inputs.fit)[0], 0.0)
 
 
 def make_effect(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:
@@ -128,4 +126,4 @@ def falloff(numbers: Array, camera: Camera) -> Array:
     return jnp.clip(numbers[0] * tangent2 + numbers[1] * jnp.square(tangent2), -LIMIT, LIMIT)
 
 
-EFFECT = EffectKind(judge, simulate, start, explain, learned)
+EFFECT = EffectKind(judge, simulate, explain)

@@ -11,9 +11,9 @@ import numpy as np
 import optax
 from jax import Array
 
+from gsjax.effects.kinds import simulations
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import HOLD, RATE, Effect, Effects, light_behind, light_in_photo, move_camera
-from gsjax.effects.start import estimate_start
 from gsjax.planning.validation import Observe, ValidationGain, Variant, compared
 from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
@@ -50,7 +50,7 @@ class EffectRuns:
 
         The run has the photometric loss alone and no densification.
         """
-        variant, on = self._variant, estimate_start(self.observations, names).simulations(_rate)
+        variant, on = self._variant, simulations(self.observations, names, _rate)
         state = self.initial(self.settings, variant.optimizer, variant.effects)
         if state.effects is not None:
             numbers = {
@@ -74,7 +74,7 @@ class EffectRuns:
 
     @cached_property
     def _effects(self) -> Effects:
-        return estimate_start(self.observations, self.proposed).simulations(_rate)
+        return simulations(self.observations, self.proposed, _rate)
 
     @cached_property
     def _variant(self) -> Variant:

@@ -1,23 +1,22 @@
 """Which effects a run simulates, and what it reports of each photo and its camera afterwards."""
 
 import sys
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import optax
 from tqdm import tqdm
 
 from gsjax.effects import sky
-from gsjax.effects.appearance import Appearance
+from gsjax.effects.appearance import Appearance, appearances, light_range
 from gsjax.effects.diagnosis import Diagnosis, diagnose
 from gsjax.effects.evidence import Masks
-from gsjax.effects.kinds import effect_kinds
+from gsjax.effects.exposure import gains_of_tracks
+from gsjax.effects.kinds import Rate, StartInputs, effect_kinds, simulations
 from gsjax.effects.observations import observe
-from gsjax.effects.simulation import Effects, EffectState, learning_rate
-from gsjax.effects.start import Start, estimate_start, simulated_kinds
+from gsjax.effects.simulation import Effects, EffectState, learning_rate, reports
 from gsjax.errors import InputError
 from gsjax.planning.effect_validation import Validate
 from gsjax.planning.validation import WORTH, ValidationGain
@@ -69,7 +68,6 @@ class ChosenEffects:
     """The effects of a run."""
 
     effects: Effects = field(default_factory=dict)
-    start: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: the photos were not diagnosed
     skies: Masks = field(default_factory=dict)  # where photos show sky, if the run knows of one
 
@@ -91,10 +89,8 @@ class ChosenEffects:
 
     def photo_effects(self, state: EffectState | None) -> PhotoEffects:
         """What the state says of the photos."""
-        if state is None or self.start is None:
-            return PhotoEffects()
-        learned = self.start.learned(state.numbers)
-        return PhotoEffects(self.start.appearances(learned), learned.get("moves", {}), learned.get("background"))
+        learned = {} if state is None else reports(self.effects, state.numbers)
+        return PhotoEffects(appearances(learned), learned.get("moves", {}), learned.get("background"))
 
 
 class Decision(NamedTuple):
@@ -180,8 +176,8 @@ def _is_needless(name: str, diagnosis: Diagnosis, plan: Plan, names: Collection[
     if is_needless is None or plan.background not in _PLAIN:
         return False
     observations = diagnosis.observations
-    reached = estimate_start(observations, names).light_range(observations.frames)
-    return is_needless(observations, _PLAIN[plan.background], *reached)
+    effects = simulations(observations, names, _rate(plan))
+    return is_needless(observations, _PLAIN[plan.background], *light_range(effects, observations.frames))
 
 
 def _decide(
@@ -231,7 +227,7 @@ def _selected(
     behind = effect_kinds()[SKY].uncovers
     if masks and behind and not _is_needless(behind, diagnosis, plan, selection):
         selection.add(behind)
-    return tuple(name for name in simulated_kinds() if name in selection), masks
+    return tuple(name for name, kind in effect_kinds().items() if kind.simulate and name in selection), masks
 
 
 def _report(
@@ -260,20 +256,17 @@ def _simulate(
     request: str, plan: Plan, scene: Scene, diagnosis: Diagnosis, names: Collection[str], masks: Masks
 ) -> ChosenEffects:
     """The named effects, from where photos and tracks imply that they start."""
-    if not names:
-        return ChosenEffects(skies=masks)
-    start = estimate_start(diagnosis.observations, names, masks)
-    effects = start.simulations(_rate(plan))
+    effects = simulations(diagnosis.observations, names, _rate(plan), masks)
     behind = [name for name, effect in effects.items() if effect.behind]
     if behind and any(facts.has_matte for facts in diagnosis.observations.facts):
         raise InputError(
             f"effects={request}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
             f" leave {' and '.join(behind)} out"
         )
-    return ChosenEffects(effects, start, skies=masks)
+    return ChosenEffects(effects, skies=masks)
 
 
-def _rate(plan: Plan) -> Callable[..., optax.Schedule]:
+def _rate(plan: Plan) -> Rate:
     """Learning rates of a run's effects, see `gsjax.effects.simulation.learning_rate`."""
     density = plan.density
     resets_stop = min(density.stop, plan.steps)
@@ -286,5 +279,5 @@ def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
-    start = estimate_start(observe(scene), ("exposure",))
-    return start.appearances(start.learned())
+    inputs = StartInputs(observe(scene))
+    return appearances({"log_gains": dict(zip(inputs.names, gains_of_tracks(inputs).tolist(), strict=True))})

@@ -15,6 +15,7 @@ from small_scenes import cloud
 from gsjax import rendering
 from gsjax.effects import exposure
 from gsjax.effects.diagnosis import diagnose
+from gsjax.effects.kinds import simulations
 from gsjax.effects.observations import observe
 from gsjax.effects.simulation import (
     LIMIT,
@@ -25,7 +26,6 @@ from gsjax.effects.simulation import (
     photograph,
     update_effects,
 )
-from gsjax.effects.start import estimate_start, simulated_kinds
 from gsjax.numerics import masked_mean
 from gsjax.scene import Pixels, batches, with_pixels
 from gsjax.settings import EFFECTS
@@ -78,7 +78,7 @@ HARD = {
 
 def effects_of(scene):
     """All of them, the sky by direction whatever it starts as: one program serves."""
-    effects = estimate_start(observe(scene), EFFECTS).simulations(lambda **_: optax.constant_schedule(1e-2))
+    effects = simulations(observe(scene), EFFECTS, lambda **_: optax.constant_schedule(1e-2))
     sky = effects["background"].initial
     padded = np.concatenate([sky, np.zeros((25 - len(sky), 3), np.float32)])
     return effects | {"background": effects["background"]._replace(initial=padded)}
@@ -115,7 +115,7 @@ def test_values_gradients_and_a_step_are_finite(name, of_twelve):
     assert {effect for effect, evidence in diagnosis.effects.items() if evidence.on} <= may_be_on
     effects = effects_of(scene)
     state = initial_state(effects)
-    assert set(state.numbers) == set(simulated_kinds())
+    assert set(state.numbers) == {*EFFECTS} - {"sky", "blur"}
     assert np.abs(exposure.log_gains(state.numbers["exposure"])).max() <= LIMIT
     target = batches.with_photo_numbers(batches.read_batches(scene.frames)).views[0]
     target = replace(target, valid=np.ones(target.image.shape[:2], bool) if target.valid is None else target.valid)

@@ -11,7 +11,6 @@ from tolerances import assert_close
 from gsjax.effects import poses
 from gsjax.effects.alignment import align
 from gsjax.effects.camera_twists import apply_twist, gauge
-from gsjax.effects.kinds import PhotoSet
 from gsjax.effects.poses import Move
 from gsjax.rendering import gallery
 from gsjax.scene import Pixels, frame_of
@@ -124,8 +123,7 @@ def test_held_out_photos_keep_their_pose_and_share_their_cameras_focal_length():
     centers, whose = np.insert(CENTERS, 1, [9.0, 9.0, 9.0], axis=0), np.array([0, 0, 0, 1, 1, 1])
     rng = np.random.default_rng(0)
     numbers = {"twists": jnp.asarray(0.01 * rng.normal(size=(5, 6)), jnp.float32), "log_focals": jnp.array([0.1, -0.1])}
-    photos = PhotoSet(tuple("012345"), trained, whose, centers, 2.0, True)
-    moves = list(poses.learned(np.zeros((6, 6)), numbers, photos)["moves"].values())
+    moves = poses.moves(numbers, centers, 2.0, trained, whose)
     assert moves[1] == Move((0, 0, 0), (0, 0, 0), pytest.approx(np.exp(0.1), rel=1e-6))
     photo = Pixels(np.zeros((24, 32, 3), np.uint8))
     frame = frame_of("0.png", np.asarray(CAMERA.viewmat), np.asarray(CAMERA.K), photo)

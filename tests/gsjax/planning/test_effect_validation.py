@@ -184,7 +184,7 @@ def test_evidence_proposes_and_validation_decides(gain, simulated, capsys):
 
 EFFECT = EffectKind(
     lambda findings: Evidence(len(findings.steps) == 12, 1.0, "", 0.0, 0.5, "dusk"),
-    lambda start, photos, rate: Effect(np.float32(0.5), rate(), light=lambda numbers, colors, batch: numbers * colors),
+    lambda inputs, rate: Effect(np.float32(0.5), rate(), light=lambda numbers, colors, batch: numbers * colors),
 )
 
 
