@@ -7,8 +7,7 @@ import numpy as np
 import optax
 
 from gsjax.effects import parallax, sky
-from gsjax.effects.evidence import Evidence, Findings, Masks, unknown
-from gsjax.effects.kinds import EffectKind, Rate, StartInputs
+from gsjax.effects.kinds import EffectKind, Evidence, Findings, Masks, Rate, StartInputs, unknown
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
 from gsjax.rendering import backdrop

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from gsjax.effects.evidence import Evidence, Findings
-from gsjax.effects.kinds import EffectKind
+from gsjax.effects.kinds import EffectKind, Evidence, Findings
 from gsjax.effects.observations import Observations
 
 THRESHOLD = 0.5  # of the median sharpness, lost

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gsjax.effects import parallax, photo_gains, sky
-from gsjax.effects.evidence import Evidence, Findings, Masks
-from gsjax.effects.kinds import effect_kinds
+from gsjax.effects.kinds import Evidence, Findings, Masks, effect_kinds
 from gsjax.effects.observations import Observations, observe
 from gsjax.effects.pose_steps import Step, gauss_newton_steps
 from gsjax.scene import Frame, Scene

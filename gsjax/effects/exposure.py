@@ -8,8 +8,7 @@ import optax
 from jax import Array
 
 from gsjax.effects import simulation
-from gsjax.effects.evidence import Evidence, Findings, unknown
-from gsjax.effects.kinds import EffectKind, Rate, StartInputs
+from gsjax.effects.kinds import EffectKind, Evidence, Findings, Rate, StartInputs, unknown
 from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.scene.batches import Batch
 

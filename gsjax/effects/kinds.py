@@ -1,22 +1,58 @@
-"""The record of an effect: all that diagnosis, planning and training need to know of one."""
+"""The record of an effect: its evidence, its simulation, and all else that planning and training need to know."""
 
 import importlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 import optax
 
-from gsjax.effects.evidence import Evidence, Findings, Masks
 from gsjax.effects.observations import Observations
-from gsjax.effects.photo_gains import Fit, Table, fit, table
+from gsjax.effects.parallax import Parallax
+from gsjax.effects.photo_gains import Fit, Gains, Table, fit, table
+from gsjax.effects.pose_steps import Step
 from gsjax.effects.simulation import Effect, Effects
 from gsjax.settings import EFFECTS, Density
 
+Masks = Mapping[str, np.ndarray]
+"""Frame's name -> `[H, W]` bool, True where it shows sky; photos without sky have none."""
+
 Rate = Callable[..., optax.Schedule]
 """Schedule of a run by `peak`, `hold`, `share` and `final`, see `gsjax.effects.simulation.learning_rate`."""
+
+
+class Findings(NamedTuple):
+    """What photos and tracks show, for every effect to judge."""
+
+    observations: Observations
+    gains: Gains | None  # None: no point is seen in three photos
+    steps: tuple[Step | None, ...]  # a frame
+    masks: Masks  # of what looks like sky, plaster included
+    of_masks: Parallax | None  # what compares within them; None: nothing
+
+
+class Evidence(NamedTuple):
+    """The report line of an effect."""
+
+    on: bool  # the scene calls for it
+    value: float | None  # larger speaks more for the effect; None: the scene has no means to judge
+    unit: str
+    noise: float | None  # what `value` may be off by, or what it is where the effect is absent
+    threshold: float  # `on` needs a larger value
+    note: str
+    is_certain: bool = False  # the effect is simulated without a validation run
+
+    def record(self) -> dict[str, Any]:
+        """Plain values for a file; the statistic is called evidence there."""
+        return {("evidence" if name == "value" else name): value for name, value in self._asdict().items()}
+
+
+def unknown(unit: str, threshold: float, why: str) -> Evidence:
+    """No means to judge: off."""
+    return Evidence(False, None, unit, None, threshold, f"cannot be judged: {why}")
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ import optax
 from jax import Array
 
 from gsjax.effects.camera_twists import apply_twist, gauge
-from gsjax.effects.evidence import Evidence, Findings, unknown
-from gsjax.effects.kinds import EffectKind, Rate, StartInputs
+from gsjax.effects.kinds import EffectKind, Evidence, Findings, Rate, StartInputs, unknown
 from gsjax.effects.observations import Observations
 from gsjax.effects.pose_steps import gauss_newton_steps
 from gsjax.effects.simulation import Effect

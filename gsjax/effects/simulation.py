@@ -75,43 +75,40 @@ def reports(effects: Effects, numbers: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for each in of_effects for key, value in each.items()}
 
 
-def move_camera(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, photo: Array | None) -> Camera:
-    """The camera of a photo (`[]` int32) as the effects have it; the given one where there are none."""
-    if numbers is None or photo is None:
-        return camera
+def move_camera(effects: Effects, numbers: Any, camera: Camera, photo: Array | None) -> Camera:
+    """The camera of a photo (`[]` int32) as the effects have it; the given one where there are none.
+
+    Here and below, `numbers` are those of the effects by name, and unused where there are no effects.
+    """
     for name, effect in effects.items():
-        if effect.camera is not None:
+        if effect.camera is not None and photo is not None:
             camera = effect.camera(numbers[name], camera, photo)
     return camera
 
 
-def light_behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, color: Array) -> Array:
+def light_behind(effects: Effects, numbers: Any, camera: Camera, color: Array) -> Array:
     """`[3]` or `[H, W, 3]` light that comes from no Gaussian; the given `[3]` colour where no effect knows better."""
-    if numbers is None:
-        return color
     for name, effect in effects.items():
         if effect.behind is not None:
             color = effect.behind(numbers[name], camera)
     return color
 
 
-def light_in_photo(effects: Effects, numbers: dict[str, Any] | None, colors: Array, batch: Batch) -> Array:
+def light_in_photo(effects: Effects, numbers: Any, colors: Array, batch: Batch) -> Array:
     """`[H, W, 3]` what the camera of a view makes of the light before its lens."""
-    if numbers is None:
-        return colors
     for name, effect in effects.items():
         if effect.light is not None:
             colors = effect.light(numbers[name], colors, batch)
     return colors
 
 
-def photograph(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
+def photograph(effects: Effects, numbers: Any, view: View, batch: Batch, background: Array) -> View:
     """What the camera makes of a view.
 
     Where photos have mattes, the background `[3]` is laid under them by us, after any camera: it stays as it is. A
     white pixel says only that there was no less light: what effects make brighter than white there is white.
     """
-    if numbers is None or all(effect.light is None for effect in effects.values()):
+    if all(effect.light is None for effect in effects.values()):
         return view
     behind = jnp.zeros_like(view.colors)
     if batch.matte is not None:
@@ -122,13 +119,9 @@ def photograph(effects: Effects, numbers: dict[str, Any] | None, view: View, bat
     return view._replace(colors=jnp.where((batch.image > SATURATED) & (colors > most), most, colors))
 
 
-def mask_untrusted(
-    effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch
-) -> tuple[Batch, Array | None]:
+def mask_untrusted(effects: Effects, numbers: Any, view: View, batch: Batch) -> tuple[Batch, Array | None]:
     """The view with those pixels left out that an effect does not trust, and what it adds to the loss; None of none."""
     added = None
-    if numbers is None:
-        return batch, added
     for name, effect in effects.items():
         if effect.trusts is not None:
             is_trusted, own = effect.trusts(numbers[name], view.colors, batch)

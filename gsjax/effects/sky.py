@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from gsjax.effects.evidence import Evidence, Findings, Masks, unknown
-from gsjax.effects.kinds import EffectKind
+from gsjax.effects.kinds import EffectKind, Evidence, Findings, Masks, unknown
 from gsjax.effects.observations import EVEN, UNUSABLE, Observations, block_means, even_stride, light_stride, upwards
 from gsjax.effects.parallax import Parallax
 from gsjax.scene import Frame
@@ -47,13 +46,12 @@ def find(observations: Observations) -> Masks:
     ]
     typical = float(np.median([view.points.sum() / max(view.usable.sum(), 1) for view in views]))
     candidates = [_regions(view, typical) for view in views]
-    counts: dict[int, int] = {}
-    for view, regions in zip(views, candidates, strict=True):
-        for cell in np.unique(view.cells[np.logical_or.reduce(regions)]) if regions else ():
-            counts[cell] = counts.get(cell, 0) + 1
+    pairs = [(view, regions) for view, regions in zip(views, candidates, strict=True) if regions]
+    cells = [np.unique(view.cells[np.logical_or.reduce(regions)]) for view, regions in pairs]
+    cells, counts = np.unique(np.concatenate([*cells, np.empty(0, int)]), return_counts=True)
     masks, strong = {}, 0
     for frame, view, regions in zip(observations.frames, views, candidates, strict=True):
-        shared = np.isin(view.cells, [cell for cell, count in counts.items() if count >= FEWEST])
+        shared = np.isin(view.cells, cells[counts >= FEWEST])
         shared_regions = [region for region in regions if shared[region].mean() >= ALIKE]
         if shared_regions:
             masks[frame.name] = _full_size(np.logical_or.reduce(shared_regions), frame)
@@ -108,11 +106,11 @@ def score(compared: Parallax) -> float:
 
 def regions(observations: Observations, masks: Masks) -> dict[int, np.ndarray]:
     """Index of a photo -> `[h, w]` bool on the grid of `PhotoFacts.light`: places that are in its mask as a whole."""
-    places = {}
-    for index, frame in enumerate(observations.frames):
-        if frame.name in masks:
-            places[index] = block_means(masks[frame.name], light_stride(frame.width, frame.height)) == 1
-    return places
+    return {
+        index: block_means(masks[frame.name], light_stride(frame.width, frame.height)) == 1
+        for index, frame in enumerate(observations.frames)
+        if frame.name in masks
+    }
 
 
 def summary(masks: Masks, frames: Sequence[Frame]) -> str:

@@ -13,8 +13,7 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.effects.evidence import Evidence, Findings, unknown
-from gsjax.effects.kinds import EffectKind, Rate, StartInputs
+from gsjax.effects.kinds import EffectKind, Evidence, Findings, unknown
 from gsjax.effects.simulation import Effect
 from gsjax.numerics import masked_mean
 from gsjax.scene.batches import Batch
@@ -39,12 +38,6 @@ def judge(findings: Findings) -> Evidence:
     value = float((size > OUTLIER * gains.fit.sigma).mean())
     note = "colours off by 4 sigma after gains; sheen and shadows count too: give masks where something moved"
     return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, note)
-
-
-def simulate(inputs: StartInputs, rate: Rate) -> Effect:
-    """The effect of a run."""
-    del inputs
-    return make_effect(rate(peak=RATE, hold=0, final=1.0))
 
 
 def make_effect(rate: optax.Schedule) -> Effect:
@@ -90,4 +83,6 @@ def residuals(colors: Array, image: Array) -> Array:
     return jax.lax.stop_gradient(jnp.mean(jnp.abs(jnp.clip(colors, 0, 1) - image), axis=-1))
 
 
-EFFECT = EffectKind(judge, simulate, delay_densification=delay_densification)
+EFFECT = EffectKind(
+    judge, lambda inputs, rate: make_effect(rate(peak=RATE, hold=0, final=1.0)), delay_densification=delay_densification
+)

@@ -7,8 +7,7 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.effects.evidence import Evidence, Findings, unknown
-from gsjax.effects.kinds import EffectKind, Rate, StartInputs
+from gsjax.effects.kinds import EffectKind, Evidence, Findings, Rate, StartInputs, unknown
 from gsjax.effects.observations import Observations
 from gsjax.effects.photo_gains import Fit, Gains, Table, fit, project
 from gsjax.effects.simulation import LIMIT, Effect

@@ -19,7 +19,6 @@ from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Frame, batches, with_pixels
 from gsjax.scene.batches import Batch
-from gsjax.scene.cameras import Camera
 from gsjax.settings import COLOR_RATE, Settings
 from gsjax.training import optimizers
 from gsjax.training.optimizers import Optimizer
@@ -122,36 +121,24 @@ def switchable(effect: Effect, color: np.ndarray) -> Effect:
     Off, it changes nothing and learns nothing; behind all Gaussians is the `color` `[3]` of the run.
     """
 
-    def camera(numbers, original: Camera, photo: Array) -> Camera:
-        assert effect.camera is not None
-        return _where(numbers[0], effect.camera(numbers[1], original, photo), original)
-
-    def behind(numbers, view: Camera) -> Array:
-        assert effect.behind is not None
-        light = effect.behind(numbers[1], view)
-        return _where(numbers[0], light, jnp.broadcast_to(jnp.asarray(color), light.shape))
-
-    def light(numbers, colors: Array, batch: Batch) -> Array:
-        assert effect.light is not None
-        return _where(numbers[0], effect.light(numbers[1], colors, batch), colors)
-
-    def trusts(numbers, colors: Array, batch: Batch) -> tuple[Array, Array]:
-        assert effect.trusts is not None
-        trusted, added = effect.trusts(numbers[1], colors, batch)
-        return _where(numbers[0], (trusted, added), (jnp.ones_like(trusted), jnp.zeros_like(added)))
+    def switched(function: Callable[..., Any] | None, off: Callable[..., Any]) -> Callable[..., Any] | None:
+        return function and (lambda numbers, *args: _where(numbers[0], function(numbers[1], *args), off(*args)))
 
     return Effect(
         (np.float32(0), effect.initial),
         effect.rate,
-        camera=effect.camera and camera,
-        behind=effect.behind and behind,
-        light=effect.light and light,
-        trusts=effect.trusts and trusts,
+        camera=switched(effect.camera, lambda original, photo: original),
+        behind=switched(effect.behind, lambda view: jnp.asarray(color)),
+        light=switched(effect.light, lambda colors, batch: colors),
+        trusts=switched(effect.trusts, lambda colors, batch: (np.ones(colors.shape[:2], bool), np.float32(0))),
     )
 
 
-def _where(switch: Array, on, off):
-    return jax.tree.map(lambda a, b: jnp.where(jax.lax.stop_gradient(switch) > 0, a, b), on, off)
+def _where(switch: Array, on: Any, off: Any) -> Any:
+    def choose(a: Array, b: Array) -> Array:
+        return jnp.where(jax.lax.stop_gradient(switch) > 0, a, jnp.broadcast_to(b, a.shape))
+
+    return jax.tree.map(choose, on, off)
 
 
 def _rate(peak: float = RATE, hold: int = HOLD, **_: Any) -> optax.Schedule:
@@ -179,10 +166,7 @@ def without_blocks(observations: Observations, frames: Sequence[Frame], held_out
     return replace(
         observations,
         frames=tuple(replace(frame, held_out=frame.name not in blocks) for frame in observations.frames),
-        photo=observations.photo[stays],
-        point=observations.point[stays],
-        pixels=observations.pixels[stays],
-        colors=observations.colors[stays],
+        **{name: getattr(observations, name)[stays] for name in ("photo", "point", "pixels", "colors")},
     )
 
 

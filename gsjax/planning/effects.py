@@ -12,9 +12,8 @@ from tqdm import tqdm
 from gsjax.effects import sky
 from gsjax.effects.appearance import Appearance, appearances, light_range
 from gsjax.effects.diagnosis import Diagnosis, diagnose
-from gsjax.effects.evidence import Masks
 from gsjax.effects.exposure import gains_of_tracks
-from gsjax.effects.kinds import Rate, StartInputs, effect_kinds, simulations
+from gsjax.effects.kinds import Masks, Rate, StartInputs, effect_kinds, simulations
 from gsjax.effects.observations import observe
 from gsjax.effects.simulation import Effects, EffectState, learning_rate, reports
 from gsjax.errors import InputError
@@ -141,9 +140,16 @@ def choose_effects(
         diagnosis = _with_notes(diagnosis, decision)
     names, masks = _selected(diagnosis, plan, required, decision)
     if SKY in required and not masks:
-        raise InputError(f"sky: the photos of {inspection.scene.root} show no sky; effects.sky takes a folder of masks")
+        raise InputError(f"sky: the photos of {scene.root} show no sky; effects.sky takes a folder of masks")
     evidence = _report(inspection, diagnosis, decision, names, masks)
-    return replace(_simulate(request, plan, inspection.scene, diagnosis, names, masks), evidence=evidence)
+    effects = simulations(diagnosis.observations, names, _rate(plan), masks)
+    behind = [name for name, effect in effects.items() if effect.behind]
+    if behind and any(facts.has_matte for facts in diagnosis.observations.facts):
+        raise InputError(
+            f"effects={request}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
+            f" leave {' and '.join(behind)} out"
+        )
+    return ChosenEffects(effects, evidence, masks)
 
 
 def _detected(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -202,19 +208,15 @@ def _decide(
 def _with_notes(diagnosis: Diagnosis, decision: Decision) -> Diagnosis:
     """The diagnosis with the validated gain and the decision in the note of each proposed effect."""
     uncovered = {kind.uncovers: name for name, kind in effect_kinds().items() if name in decision.selection}
-    evidence = {}
+    noted, gains = {}, decision.validated
     for name in decision.proposed:
-        verdict = "simulated" if name in decision.selection else "not simulated"
+        evidence, verdict = diagnosis.effects[name], "simulated" if name in decision.selection else "not simulated"
         why = "not validated, the run is too short"
-        if name in uncovered:
-            why = f"part of the {uncovered[name]}"
-        elif diagnosis.effects[name].is_certain:
-            why = "certain without validation"
-        elif name in decision.validated:
-            why = f"gains {decision.validated[name]} in a validation run (needs {WORTH:g})"
-        note = f"{verdict}: {why}; {diagnosis.effects[name].note}"
-        evidence[name] = diagnosis.effects[name]._replace(note=note)
-    return diagnosis.with_evidence(evidence)
+        why = f"gains {gains[name]} in a validation run (needs {WORTH:g})" if name in gains else why
+        why = "certain without validation" if evidence.is_certain else why
+        why = f"part of the {uncovered[name]}" if name in uncovered else why
+        noted[name] = evidence._replace(note=f"{verdict}: {why}; {evidence.note}")
+    return diagnosis.with_evidence(noted)
 
 
 def _selected(
@@ -250,20 +252,6 @@ def _report(
         "evidence": diagnosis.record()["effects"],
         "validated": {name: gain._asdict() for name, gain in validated.items()},
     }
-
-
-def _simulate(
-    request: str, plan: Plan, scene: Scene, diagnosis: Diagnosis, names: Collection[str], masks: Masks
-) -> ChosenEffects:
-    """The named effects, from where photos and tracks imply that they start."""
-    effects = simulations(diagnosis.observations, names, _rate(plan), masks)
-    behind = [name for name, effect in effects.items() if effect.behind]
-    if behind and any(facts.has_matte for facts in diagnosis.observations.facts):
-        raise InputError(
-            f"effects={request}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
-            f" leave {' and '.join(behind)} out"
-        )
-    return ChosenEffects(effects, skies=masks)
 
 
 def _rate(plan: Plan) -> Rate:

@@ -80,12 +80,7 @@ def moves_line(moves: Mapping[str, Move], similarity: Similarity) -> str:
 
 def _in_units(moves: Mapping[str, Move], length: Callable[[float], float]) -> dict[str, Move]:
     """The moves with their shifts in other units."""
-
-    def of_units(move: Move) -> Move:
-        x, y, z = move.shift
-        return move._replace(shift=(length(x), length(y), length(z)))
-
-    return {name: of_units(move) for name, move in moves.items()}
+    return {name: move._replace(shift=tuple(map(length, move.shift))) for name, move in moves.items()}
 
 
 def _read(file: Path, kind: type[T]) -> dict[str, T]:

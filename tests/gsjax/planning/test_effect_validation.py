@@ -11,8 +11,7 @@ from small_scenes import built_in
 
 from gsjax.config import parse
 from gsjax.effects.diagnosis import diagnose
-from gsjax.effects.evidence import Evidence
-from gsjax.effects.kinds import EffectKind
+from gsjax.effects.kinds import EffectKind, Evidence
 from gsjax.effects.observations import observe
 from gsjax.effects.simulation import Effect, light_in_photo
 from gsjax.io.scenes import load_scene
