@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gsjax.io.colmap_writer import write_model
 from gsjax.io.images import write_image
@@ -47,6 +48,23 @@ def relit(scene: Scene, stops) -> Scene:
         pixels = frame.pixels()
         light = _light(pixels.image / 255) * 2 ** np.asarray(stops(index, frame, x, y))
         frames.append(with_pixels(frame, pixels._replace(image=_coded(light))))
+    return replace(scene, frames=tuple(frames))
+
+
+def with_tracks(scene: Scene, rows: np.ndarray | slice) -> Scene:
+    """The scene with these of its observations alone."""
+    tracks = scene.tracks()
+    fewer = replace(tracks, photo=tracks.photo[rows], point=tracks.point[rows], rays=tracks.rays[rows])
+    return replace(scene, tracks=lambda: fewer)
+
+
+def turned(scene: Scene, degrees: float, seed: int) -> Scene:
+    """Every camera turned about its three axes by angles of this standard deviation."""
+    rng, frames = np.random.default_rng(seed), []
+    for frame in scene.frames:
+        turn = np.eye(4)
+        turn[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * rng.normal(size=3)).as_matrix()
+        frames.append(replace(frame, viewmat=(turn @ frame.viewmat).astype(np.float32)))
     return replace(scene, frames=tuple(frames))
 
 

@@ -83,8 +83,8 @@ class StartInputs:
     @cached_property
     def light(self) -> Table:
         """Logarithms of display-coded colours, which training compares, without what other effects explain."""
-        seen = self.observations
-        return table(np.log(seen.colors) - self.explained, seen.photo, seen.point, len(seen.frames))
+        every = self.observations
+        return table(np.log(every.colors) - self.explained, every.photo, every.point, len(every.frames))
 
     @cached_property
     def fit(self) -> Fit:

@@ -68,12 +68,10 @@ def simulate(inputs: StartInputs, rate: Rate) -> Effect:
     centers = np.stack([viewmat_center(frame.viewmat.astype(np.float64)) for frame in frames])
     unit, start_twists = _median_depth(inputs.observations), twists_from_tracks(inputs.observations)
     schedule = rate(peak=RATE_KNOWN if inputs.observations.tracked else RATE, hold=HOLD, share=HOLD_SHARE)
-
-    def report(numbers: Any) -> dict[str, Any]:
-        return {"moves": dict(zip(names, moves(numbers, centers, unit, trained, whose), strict=True))}
-
     effect = make_effect(centers[trained], unit, whose[trained], whose.max() + 1, schedule, start_twists[trained])
-    return effect._replace(report=report)
+    return effect._replace(
+        report=lambda numbers: {"moves": dict(zip(names, moves(numbers, centers, unit, trained, whose), strict=True))}
+    )
 
 
 def make_effect(

@@ -1,7 +1,5 @@
 """Vignetting: photos that are darker towards their corners."""
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -85,11 +83,9 @@ def simulate(inputs: StartInputs, rate: Rate) -> Effect:
     """The effect of a run: the fall-off that the tracks imply of all cameras together, then of each its own."""
     names, camera = inputs.names, inputs.camera
     start_numbers = np.tile(np.array([_slope(inputs), 0.0]), (camera.max() + 1, 1))
-
-    def report(numbers: Array) -> dict[str, Any]:
-        return {"falloff": dict(zip(names, np.asarray(numbers)[camera].tolist(), strict=True))}
-
-    return make_effect(start_numbers, camera[inputs.trained], rate())._replace(report=report)
+    return make_effect(start_numbers, camera[inputs.trained], rate())._replace(
+        report=lambda numbers: {"falloff": dict(zip(names, np.asarray(numbers)[camera].tolist(), strict=True))}
+    )
 
 
 def explain(inputs: StartInputs) -> np.ndarray:

@@ -64,11 +64,12 @@ class EffectRuns:
 
     def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> ValidationGain:
         """The gain of an effect on the held-out pixels, from the pictures of both variants."""
-        photos, valid, held_out, middle = [], [], [], self._scale // 2
-        for (photo, part), blocks in zip(self._photos, self.held_out, strict=True):
-            photos.append(np.asarray(photo.image)[part])
-            valid.append(np.asarray(photo.valid)[part])
-            held_out.append(blocks[middle :: self._scale, middle :: self._scale][part])
+        photos = [np.asarray(photo.image)[part] for photo, part in self._photos]
+        valid = [np.asarray(photo.valid)[part] for photo, part in self._photos]
+        middles = slice(self._scale // 2, None, self._scale)
+        held_out = [
+            blocks[middles, middles][part] for blocks, (_, part) in zip(self.held_out, self._photos, strict=True)
+        ]
         return compared(without, with_effect, photos, valid, held_out)
 
     @cached_property
@@ -103,9 +104,9 @@ class EffectRuns:
         effects, numbers = self._variant.effects, state.effects and state.effects.numbers
         cameras = [move_camera(effects, numbers, photo.camera, photo.photo) for photo, _ in self._photos]
         black = np.zeros(3, np.float32)
-        drawn = gallery.pictures(state.gaussians, cameras, black, self.settings.model.depth_mode)
+        rendered = gallery.pictures(state.gaussians, cameras, black, self.settings.model.depth_mode)
         pictures = []
-        for (photo, part), camera, picture in zip(self._photos, cameras, drawn, strict=True):
+        for (photo, part), camera, picture in zip(self._photos, cameras, rendered, strict=True):
             uncovered = (1 - picture.alphas)[..., None]
             behind = np.asarray(light_behind(effects, numbers, camera, jnp.asarray(self._color)))
             # The colour under a matte stays as it is.

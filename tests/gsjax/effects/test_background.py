@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from photographed_wall import wall
+from photographed_wall import wall, with_tracks
 from small_scenes import camera_at
 from tolerances import assert_close
 
@@ -85,16 +85,14 @@ def test_hard_cases_in_value_and_gradient():
 def painted(sky):
     """The wall's photos with the upper third repainted by `sky(rows, columns)`, nothing matched there."""
     scene = wall()
-    tracks = scene.tracks()
-    low = tracks.rays[:, 1] > 0
-    lower = replace(tracks, photo=tracks.photo[low], point=tracks.point[low], rays=tracks.rays[low])
+    lower = with_tracks(scene, scene.tracks().rays[:, 1] > 0)
 
     def outdoors(frame):
         image = frame.pixels().image.copy()
         image[:24] = sky(*np.mgrid[:24, :96])
         return with_pixels(frame, frame.pixels()._replace(image=image))
 
-    return replace(scene, frames=tuple(map(outdoors, scene.frames)), tracks=lambda: lower)
+    return replace(lower, frames=tuple(map(outdoors, scene.frames)))
 
 
 def test_a_sky_starts_as_the_photos_show_it():

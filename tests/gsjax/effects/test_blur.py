@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from photographed_wall import wall
+from photographed_wall import wall, with_tracks
 from scipy import ndimage
 
 from gsjax.effects.blur import photos_to_leave_out
@@ -25,14 +25,6 @@ def blurred(*indices):
     return replace(scene, frames=tuple(frames))
 
 
-def with_tracks(scene, is_kept):
-    """The scene with those of its observations alone that are kept: `is_kept(photo, point)`."""
-    tracks = scene.tracks()
-    there = is_kept(tracks.photo, tracks.point)
-    fewer = replace(tracks, photo=tracks.photo[there], point=tracks.point[there], rays=tracks.rays[there])
-    return replace(scene, tracks=lambda: fewer)
-
-
 def test_blurred_photos_are_named_and_left_out_where_others_see_what_they_see():
     for photos, names in (((4,), ("04.png",)), ((4, 7), ("04.png", "07.png")), ((), ())):
         scene = blurred(*photos)
@@ -47,7 +39,8 @@ def test_blurred_photos_are_named_and_left_out_where_others_see_what_they_see():
 
 @pytest.mark.parametrize(("share", "expected"), [(0.05, ("04.png",)), (0.2, ())])
 def test_a_photo_stays_where_nobody_else_sees_so_much_of_it(share, expected):
-    alone = with_tracks(blurred(4), lambda photo, point: (photo == 4) | (point % 100 >= 100 * share))
+    tracks = wall().tracks()
+    alone = with_tracks(blurred(4), (tracks.photo == 4) | (tracks.point % 100 >= 100 * share))
     assert photos_to_leave_out(observe(alone)) == expected
 
 
@@ -57,7 +50,7 @@ def test_blurred_photos_do_not_vouch_for_each_other_and_one_sharp_one_is_too_few
     shared = np.flatnonzero(np.bincount(tracks.point, minlength=400) == 12)  # seen by all photos
     for witnesses, expected in (((0,), ()), ((0, 1), ("04.png", "07.png"))):
         photos = (4, 7, *witnesses)
-        partial_scene = with_tracks(scene, lambda photo, point, c=photos: np.isin(photo, c) & np.isin(point, shared))
+        partial_scene = with_tracks(scene, np.isin(tracks.photo, photos) & np.isin(tracks.point, shared))
         assert photos_to_leave_out(observe(partial_scene)) == expected
 
 

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from photographed_wall import gains, radii2, relit, wall
+from photographed_wall import gains, radii2, relit, turned, wall
 from scipy import ndimage
-from scipy.spatial.transform import Rotation
 from small_scenes import built_in
 
 from gsjax import cli
@@ -119,15 +118,7 @@ def test_a_photo_that_few_tracks_tell_of_is_not_tinted():
 
 
 def test_wrong_poses_show_against_the_tracks():
-    scene = wall()
-    rng = np.random.default_rng(2)
-
-    def turned(frame, degrees):
-        turn = np.eye(4)
-        turn[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * rng.normal(size=3)).as_matrix()
-        return replace(frame, viewmat=(turn @ frame.viewmat).astype(np.float32))
-
-    off = replace(scene, frames=tuple(turned(frame, 0.5) for frame in scene.frames))
+    scene, off = wall(), turned(wall(), 0.5, seed=2)
     diagnosis = diagnose(off)
     assert diagnosis.effects["poses"].on
     # Half a degree about x and y moves a picture by 0.5 deg * focal length; the median of a Rayleigh is 1.18 of it.

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from photographed_wall import wall
+from photographed_wall import wall, with_tracks
 from small_scenes import cloud
 
 from gsjax import rendering
@@ -43,16 +43,10 @@ def flat(value):
     return lambda index, pixels: Pixels(np.full_like(pixels.image, value))
 
 
-def only(scene, rows):
-    tracks = scene.tracks()
-    subset = replace(tracks, photo=tracks.photo[rows], point=tracks.point[rows], rays=tracks.rays[rows])
-    return replace(scene, tracks=lambda: subset)
-
-
 def one_point_each(scene):
     """Every photo has matched one point, and no other photo has."""
     tracks = scene.tracks()
-    return only(scene, [np.flatnonzero((tracks.photo == i) & (tracks.point % 12 == i))[0] for i in range(12)])
+    return with_tracks(scene, [np.flatnonzero((tracks.photo == i) & (tracks.point % 12 == i))[0] for i in range(12)])
 
 
 def nothing_valid(index, pixels):
@@ -65,7 +59,7 @@ HARD = {
     "all photos saturated": lambda scene: repainted(scene, flat(255)),
     "one photo black": lambda scene: repainted(scene, lambda i, p: flat(0)(i, p) if i == 0 else p),
     "tracks of one colour": lambda scene: repainted(scene, flat(128)),
-    "nothing but sky": lambda scene: only(repainted(scene, flat((140, 180, 240))), slice(0)),
+    "nothing but sky": lambda scene: with_tracks(repainted(scene, flat((140, 180, 240))), slice(0)),
     "nothing valid": lambda scene: repainted(scene, nothing_valid),
     "one point a photo": one_point_each,
     "no tracks": lambda scene: replace(scene, tracks=None),

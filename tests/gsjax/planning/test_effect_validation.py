@@ -1,12 +1,9 @@
 """Validation of effects: what is held out, how variants are compared, and which effects pass."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from photographed_wall import gains as drawn_gains
-from photographed_wall import radii2, relit, wall
-from scipy.spatial.transform import Rotation
+from photographed_wall import radii2, relit, turned, wall
 from small_scenes import built_in
 
 from gsjax.config import parse
@@ -50,18 +47,6 @@ def validation(scene, settings=SETTINGS):
     )
 
 
-def turned(scene, degrees):
-    """Every camera turned by so much."""
-    rng = np.random.default_rng(0)
-
-    def turn(frame):
-        matrix = np.eye(4)
-        matrix[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * rng.normal(size=3) / np.sqrt(3)).as_matrix()
-        return replace(frame, viewmat=(matrix @ frame.viewmat).astype(np.float32))
-
-    return replace(scene, frames=tuple(map(turn, scene.frames)))
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("effect", ["exposure", "poses", None])
 def test_what_photos_differ_in_passes(tmp_path, effect):
@@ -69,7 +54,7 @@ def test_what_photos_differ_in_passes(tmp_path, effect):
     stops = drawn_gains(clean, 0.3)
     photos = {
         "exposure": lambda: relit(clean, lambda index, *_: stops[index]),
-        "poses": lambda: turned(clean, 0.3),
+        "poses": lambda: turned(clean, 0.3 / np.sqrt(3), seed=0),
         None: lambda: clean,
     }[effect]()
     settings = SETTINGS.replace(schedule={"phases": (Phase("vanilla", 800),)})
