@@ -165,7 +165,7 @@ def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetti
 
 def test_the_command_prints_the_table_writes_file_and_pictures_and_judges_maps_of_normals(tmp_path, capsys):
     """True maps are kept; those that face their cameras everywhere look plausible, and say nothing."""
-    root, target = built_in(tmp_path / "scene", num_views=16, size=(64, 64)), tmp_path / "out" / "found.json"
+    root, target = built_in(tmp_path / "scene", num_views=9, size=(48, 40)), tmp_path / "out" / "found.json"
     scene = load_scene(root)
     for name in ("true", "facing"):
         folder = root / f"normals_{name}"
@@ -182,9 +182,9 @@ def test_the_command_prints_the_table_writes_file_and_pictures_and_judges_maps_o
     assert (facing_row[:2], true_row[:2]) == (["normals_facing", "rejected"], ["normals_true", "kept"])
     record = json.loads(target.read_text())
     assert apart_line(record["apart"]).split() in printed
-    assert list(record["effects"]) == list(EFFECTS) and len(record["photos"]) == 16
+    assert list(record["effects"]) == list(EFFECTS) and len(record["photos"]) == 9
     verdicts = record["normals"]
-    assert verdicts["normals_true"]["share"] > 0.95 and verdicts["normals_facing"]["share"] == 0
+    assert verdicts["normals_true"]["share"] > 0.9 and verdicts["normals_facing"]["share"] == 0
     assert all(photo["kept"] > 0.8 for photo in verdicts["normals_true"]["photos"].values())
     assert read_image(target.with_suffix(".png"))[0].std() > 10
     assert cli.main(["diagnose", str(root), "--json", str(tmp_path / "found.png")]) == 2
