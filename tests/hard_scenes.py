@@ -22,9 +22,7 @@ ORDINARY = {
 
 # Family -> name -> fields of the odd Gaussian. It must not show, nor disturb anything.
 HIDDEN_BY_FAMILY = {
-    "zero, denormal and huge scales": {
-        "scale outside float32 when squared": {"scales": (1e25, 0.1, 0.1)},
-    },
+    "zero, denormal and huge scales": {"scale outside float32 when squared": {"scales": (1e25, 0.1, 0.1)}},
     "opacity 1 and 0": {
         "opacity 0": {"opacities": 0.0},
         "opacity under the cut": {"opacities": 0.0039},

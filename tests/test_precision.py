@@ -52,15 +52,6 @@ def rough_products(function, *arguments):
     ]
 
 
-def test_a_plain_product_is_found_wherever_it_stands():
-    square = jnp.eye(3)
-    plain = jax.jit(lambda x: jax.lax.fori_loop(0, 2, lambda _, y: y @ x, x))
-    assert len(rough_products(plain, square)) == 1
-    assert len(rough_products(jax.grad(lambda x: jnp.sum(x @ x)), square)) == 3
-    assert len(rough_products(lambda x: jnp.convolve(x, x), square[0])) == 1
-    assert not rough_products(lambda x: jnp.dot(x, x, precision="highest"), square)
-
-
 @pytest.mark.parametrize("backend", ["xla", "pallas"])
 def test_the_rasterizer(backend):
     scene = rasterizer_scene(sh_degree=2)

@@ -122,10 +122,7 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
         (lambda: Phase("a", 3, {"l1": "much"}), "Phase: weights.l1 is 'much', expected float"),
         (lambda: Weights(l1=float("nan")), "Weights: l1 is nan, expected a finite number"),
         (lambda: Refinement(pixel_filter="box"), "Refinement: pixel_filter is 'box', expected one of"),
-        (
-            lambda: jax.jit(lambda degree: Model(sh_degree=degree))(3),
-            "Model: sh_degree is .*, expected int",
-        ),
+        (lambda: jax.jit(lambda degree: Model(sh_degree=degree))(3), "Model: sh_degree is .*, expected int"),
     ],
 )
 def test_a_setting_of_another_type_is_one_line_that_names_it(make, line):

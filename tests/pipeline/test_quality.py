@@ -4,19 +4,17 @@ Measured with these settings and the seeds 0, 1, 2; the tests use seed 0:
 
 | | PSNR, dB | normal error, degrees | Chamfer distance |
 |---|---|---|---|
-| without R | 21.9, 22.6, 22.4 | 28.1, 27.8, 27.7 | 0.0146, 0.0143, 0.0150 |
-| R composited at the means | 22.4, 22.8, 22.8 | 22.8, 22.2, 22.6 | 0.0132, 0.0122, 0.0130 |
-| R at the pixels | 22.8, 23.3, 23.1 | 17.5, 17.2, 16.8 | 0.0112, 0.0105, 0.0107 |
+| without R | 20.4, 20.2, 20.2 | 32.0, 32.9, 33.1 | 0.0191, 0.0189, 0.0187 |
+| R composited at the means | 20.9, 20.8, 20.7 | 25.8, 26.4, 26.0 | 0.0164, 0.0158, 0.0153 |
+| R at the pixels | 21.3, 21.2, 21.2 | 22.1, 22.2, 21.8 | 0.0132, 0.0137, 0.0147 |
 
-Chamfer distances are of the mesh method `poisson`. Of R at the pixels `agreed` reaches 0.0160, 0.0157, 0.0154, and
-`tsdf` 0.0153, 0.0151, 0.0145.
+Chamfer distances are of the mesh method `poisson`.
 """
 
 from functools import cache
 from pathlib import Path
 
 import pytest
-from small_scenes import built_in
 
 from gsjax import config, pipeline
 from gsjax.meshing.methods import METHODS
@@ -24,11 +22,6 @@ from gsjax.presets import DEMO
 
 STEPS, POINTS = 250, 8_000
 WEIGHTS = {"none": {}, "sdf_normal": {"sdf_normal": 0.2}, "pixel_normal": {"pixel_normal": 0.6}}
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory) -> Path:
-    return built_in(tmp_path_factory.mktemp("quality") / "scene", num_views=16, size=(64, 64))
 
 
 def trained(scene: Path, weights: dict[str, float]) -> Path:
@@ -71,12 +64,12 @@ def scores_of(run_of):
 
 @pytest.mark.parametrize(
     ("name", "normals", "chamfer"),
-    [("sdf_normal", 0.88, 0.94), pytest.param("pixel_normal", 0.7, 0.82, marks=pytest.mark.long)],
+    [("sdf_normal", 0.88, 0.94), pytest.param("pixel_normal", 0.76, 0.86, marks=pytest.mark.long)],
 )
 def test_training_with_r_has_better_normals_and_a_better_mesh(scores_of, name, normals, chamfer):
-    """The bounds are shares of the errors without R; the largest of three seeds were 0.81, 0.90 and 0.62, 0.77."""
+    """The bounds are shares of the errors without R; the largest of three seeds were 0.81, 0.86 and 0.69, 0.79."""
     without, with_r = scores_of("none"), scores_of(name)
-    assert min(without["psnr"], with_r["psnr"]) > 21.2
+    assert min(without["psnr"], with_r["psnr"]) > 19.5
     assert with_r["normal_error_all_deg"] < normals * without["normal_error_all_deg"]
     assert with_r["chamfer"] < chamfer * without["chamfer"]
 

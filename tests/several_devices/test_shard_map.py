@@ -56,7 +56,7 @@ def renderer(backend, **options):
 
 OPTIONS = {"sh_degree": 1, "render_mode": "RGB+ED", "depth_mode": "plane", "return_median_depth": True}
 
-LONG = [pytest.param(backend, marks=pytest.mark.long) for backend in ("reference", "xla")]
+LONG = [pytest.param(backend, marks=pytest.mark.long) for backend in ("reference", "xla", "pallas")]
 
 
 def images_and_gradients(backend, mesh=None):
@@ -78,7 +78,7 @@ def of_one_device():
     return images_and_gradients("native")
 
 
-@pytest.mark.parametrize("backend", ["native", "pallas", *LONG])
+@pytest.mark.parametrize("backend", ["native", *LONG])
 def test_images_and_gradients_are_those_of_one_device(of_one_device, backend):
     expected, expected_images = of_one_device
     gradient, images = images_and_gradients(backend, SEVERAL)

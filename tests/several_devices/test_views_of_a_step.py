@@ -127,8 +127,7 @@ def together(rule, num_devices, **more):
 
 
 @pytest.mark.parametrize(
-    ("rule", "num_devices"),
-    [("error", 2), *(pytest.param("adc", count, marks=pytest.mark.long) for count in (1, 2))],
+    ("rule", "num_devices"), [("error", 2), *(pytest.param("adc", count, marks=pytest.mark.long) for count in (1, 2))]
 )
 def test_a_step_over_four_views_is_the_mean_of_one_device_over_them(rule, num_devices):
     expected = one_by_one(rule)

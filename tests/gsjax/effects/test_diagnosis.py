@@ -139,13 +139,7 @@ def test_what_cannot_be_judged_says_so():
     assert all("cannot be judged" in effects[name].note and not effects[name].on for name in unknown)
 
 
-@pytest.mark.parametrize(
-    ("name", "exposure", "vignetting"),
-    [
-        ("kitchen", 0.33, True),
-        ("fern", 0.03, False),
-    ],
-)
+@pytest.mark.parametrize(("name", "exposure", "vignetting"), [("kitchen", 0.33, True), ("fern", 0.03, False)])
 def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetting):
     scene = load_scene(shared / "data" / name)
     effects = diagnose(scene).effects

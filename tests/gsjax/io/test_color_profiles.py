@@ -104,8 +104,7 @@ def test_a_profile_that_cannot_be_used_is_one_line_and_the_colours_are_srgb(tmp_
 
 
 @pytest.mark.parametrize(
-    ("primaries", "transfer", "space", "named"),
-    [(12, 13, "p3", ""), (9, 16, None, "PQ"), (9, 18, None, "HLG")],
+    ("primaries", "transfer", "space", "named"), [(12, 13, "p3", ""), (9, 16, None, "PQ"), (9, 18, None, "HLG")]
 )
 def test_heic_is_converted_by_its_code_points_or_named(tmp_path, capsys, primaries, transfer, space, named):
     """Without a profile; what is coded for high dynamic range is taken as it is stored."""

@@ -11,8 +11,7 @@ MEMINFO = "MemTotal: 9 kB\nMemAvailable:       3 kB\n"
 
 
 @pytest.mark.parametrize(
-    ("space", "data", "free"),
-    [("4000", "9000", 2976), ("9000", "3000", 952), ("unlimited", "unlimited", 3072)],
+    ("space", "data", "free"), [("4000", "9000", 2976), ("9000", "3000", 952), ("unlimited", "unlimited", 3072)]
 )
 def test_limits_of_the_process_itself_count(monkeypatch, space, data, free):
     texts = {

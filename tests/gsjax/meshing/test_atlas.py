@@ -133,9 +133,7 @@ def test_triangles_without_area_lie_on_a_painted_point(mesh):
 
 
 @pytest.mark.parametrize(
-    "program",
-    [f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "pass"],
-    ids=["crash", "nothing written"],
+    "program", [f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})", "pass"], ids=["crash", "nothing written"]
 )
 def test_where_xatlas_fails_there_are_cells(mesh, monkeypatch, tmp_path, program):
     (tmp_path / "xatlas_process.py").write_text(program)

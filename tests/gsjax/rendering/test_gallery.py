@@ -8,10 +8,7 @@ from gsjax.gaussians import opacities, scales
 from gsjax.rendering import MIN_COVERAGE, gallery
 
 BACKGROUND = np.array([0.1, 0.9, 0.4])
-CAMERAS = [
-    camera_at((0.0, 0.0, 0.0), size=(24, 20)),
-    camera_at((0.5, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 16)),
-]
+CAMERAS = [camera_at((0.0, 0.0, 0.0), size=(24, 20)), camera_at((0.5, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 16))]
 
 
 @pytest.fixture(scope="module")

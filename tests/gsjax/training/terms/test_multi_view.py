@@ -216,11 +216,7 @@ GREY = jnp.full((HEIGHT, WIDTH, 3), 0.5, jnp.float32)
 
 @pytest.mark.parametrize(
     "case",
-    [
-        {"others": GREY},
-        {"photo": 0 * GREY, "others": 0 * GREY},
-        {"others": 1 - BESIDE},
-    ],
+    [{"others": GREY}, {"photo": 0 * GREY, "others": 0 * GREY}, {"others": 1 - BESIDE}],
     ids=["plain neighbour", "black photos", "another thing"],
 )
 def test_photos_that_tell_nothing_ask_for_nothing(case):
