@@ -4,8 +4,6 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[1]
 
 CHECKED = ("CONTRIBUTING.md", "README.md", "docs", "experiments", "gsjax", "rasterizer")
@@ -83,13 +81,15 @@ def names_of(path: Path) -> set[str]:
     return {name.strip("_") for name in names}
 
 
-@pytest.mark.parametrize("path", [*checked(".py"), *checked(".md")], ids=named)
-def test_texts_use_the_terms_of_the_field(path):
-    assert private_words(path) == []
+def test_texts_use_the_terms_of_the_field():
+    faults = {named(path): private_words(path) for path in [*checked(".py"), *checked(".md")]}
+    assert not {path: words for path, words in faults.items() if words}
 
 
-@pytest.mark.parametrize("path", [*checked(".py"), *sorted((ROOT / "tests").rglob("*.py"))], ids=named)
-def test_no_name_is_a_bare_participle(path):
-    assert not names_of(path) & PARTICIPLES
-    # `Blended` is a record of the compiled loops, which a rename would compile anew.
-    assert not re.findall(r"^ *class _?(?!Blended)[A-Z][a-z]+ed\b", path.read_text(), re.MULTILINE)
+def test_no_name_is_a_bare_participle():
+    faults = {}
+    for path in [*checked(".py"), *sorted((ROOT / "tests").rglob("*.py"))]:
+        faults[named(path)] = names_of(path) & PARTICIPLES
+        # `Blended` is a record of the compiled loops, which a rename would compile anew.
+        faults[named(path)] |= {*re.findall(r"^ *class _?(?!Blended)[A-Z][a-z]+ed\b", path.read_text(), re.MULTILINE)}
+    assert not {path: names for path, names in faults.items() if names}
