@@ -12,11 +12,9 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
-from gsjax.effects import background, exposure, poses, transients
+from gsjax.effects import exposure, transients
 from gsjax.errors import InputError
-from gsjax.rendering import backdrop
 from gsjax.scene import batches
-from gsjax.scene.cameras import center
 from gsjax.settings import Density, Model, Phase, Rates, Schedule, Settings, Weights
 from gsjax.training import data_parallel
 from gsjax.training.data_parallel import device_mesh
@@ -64,13 +62,10 @@ def views():
 
 
 def effects_of(is_on):
-    """The numbers of all kinds of effects, which stay where they are: their gradients are in the moments of Adam."""
+    """Numbers of each photo and of all, which stay where they are: their gradients are in the moments of Adam."""
     rate = optax.constant_schedule(0.0)
-    centers = np.stack([center(camera) for camera in CAMERAS])
     effects = {
         "exposure": exposure.make_effect(np.full((4, 3), 0.1), rate),
-        "poses": poses.make_effect(centers, 4.0, np.zeros(4, np.int32), 1, rate),
-        "background": background.make_effect(backdrop.constant_coefficients(np.full(3, 0.3), 1), rate),
         "transients": transients.make_effect(rate),
     }
     return effects if is_on else {}
