@@ -13,6 +13,7 @@ from rasterizer._native.instructions import (
     as_int32s,
     as_int64s,
     call,
+    code_of,
     fetch_add,
     floats_at,
     words_on_stack,
@@ -23,8 +24,10 @@ _EXTENSION, _API, _CONTEXT, _COUNT, ARGUMENTS, _RESULTS = 1, 2, 3, 7, 9, 14  # o
 _DATA, _RANK, _DIMENSIONS = 3, 4, 5  # of a buffer
 _CREATE_ERROR, _DESTROY_ERROR, _SCHEDULE, _COUNT_THREADS = 6, 8, 17, 18  # of the table of XLA's functions
 _RESOURCE_EXHAUSTED = 8
-# Of what threads share: how many hold it, the next item, the items that are done, all items, and their job.
-_HOLDERS, _NEXT, _DONE, _ITEMS, _JOB = 0, 1, 2, 3, 4
+# Of what threads share: how many hold it, the next item, the items that are done, all items, and their job; of rows how
+# many there are, those of an item, and those that are done at once.
+_HOLDERS, _NEXT, _DONE, _ITEMS, _JOB, _ROWS, _BLOCK, _STRIP = range(8)
+_SHARED_WORDS = 8
 
 
 @inlined
@@ -104,6 +107,18 @@ def flags(buffer):
 
 
 @inlined
+def argument_rows(frame, place, row, width):
+    """The float32 numbers of an argument, from a row on."""
+    return floats_at(floats(argument(frame, place)), row * width)
+
+
+@inlined
+def result_rows(frame, place, row, width):
+    """The same of a result."""
+    return floats_at(floats(result(frame, place)), row * width)
+
+
+@inlined
 def floats_of(job, place):
     """The float32 numbers at an address of a job."""
     return as_floats(word(job, place))
@@ -113,12 +128,6 @@ def floats_of(job, place):
 def int32s_of(job, place):
     """The int32 numbers at an address of a job."""
     return as_int32s(word(job, place))
-
-
-@inlined
-def rows_of(job, place, row, width):
-    """The float32 numbers at an address of a job, from a row on."""
-    return floats_at(as_floats(word(job, place)), row * width)
 
 
 @inlined
@@ -169,15 +178,27 @@ def finish(frame, had_memory):
 
 
 @inlined
-def share(frame, task, job, items):
-    """Does all items of a job, by the task at an address, with as many of XLA's threads as come to help.
+def share(frame, do, job, items):
+    """Does all items of a job, by `do(job, item)`, with as many of XLA's threads as come to help.
 
-    The job is a word, which the task reads. Returns whether there was memory to begin.
+    The job is a word. Returns whether there was memory to begin.
     """
-    shared, helpers = allocate(8 * 5), max(min(_threads(frame), items) - 1, 0)
+    return _share(frame, code_of(_do_items, do), items, job, items, 1, 1)
+
+
+@inlined
+def share_rows(frame, do, job, rows, block, strip):
+    """The same by `do(job, first row, at most strip)`, of so many rows; a thread takes a block of them at a time."""
+    return _share(frame, code_of(_do_rows, do), (rows + block - 1) // block, job, rows, block, strip)
+
+
+@inlined
+def _share(frame, task, items, job, rows, block, strip):
+    """Has threads call a task until all items are done."""
+    shared, helpers = allocate(8 * _SHARED_WORDS), max(min(_threads(frame), items) - 1, 0)
     if shared == 0:
         return False
-    set_words(shared, _HOLDERS, helpers + 2, 0, 0, items, job)
+    set_words(shared, _HOLDERS, helpers + 2, 0, 0, items, job, rows, block, strip)
     fetch_add(shared + 8 * _HOLDERS, _schedule_helpers(frame, task, shared, helpers) - helpers)
     call(task, shared)
     while fetch_add(shared + 8 * _DONE, 0) < items:
@@ -187,8 +208,8 @@ def share(frame, task, job, items):
 
 
 @inlined
-def do_items(shared, do):
-    """Does items that no thread has taken, by `do(job, item)`, until none is left, and lets go."""
+def _do_items(shared, do):
+    """Does items that no thread has taken, until none is left, and lets go."""
     item = fetch_add(shared + 8 * _NEXT, 1)
     while item < word(shared, _ITEMS):
         do(word(shared, _JOB), item)
@@ -198,12 +219,12 @@ def do_items(shared, do):
 
 
 @inlined
-def do_rows(shared, place, block, strip, do):
-    """Does items of `block` rows each, of as many as the job has at a place, by `do(job, first row, at most strip)`."""
+def _do_rows(shared, do):
+    """The same of blocks of rows, a strip at a time."""
     item = fetch_add(shared + 8 * _NEXT, 1)
     while item < word(shared, _ITEMS):
-        job = word(shared, _JOB)
-        end = min((item + 1) * block, word(job, place))
+        job, block, strip = word(shared, _JOB), word(shared, _BLOCK), word(shared, _STRIP)
+        end = min((item + 1) * block, word(shared, _ROWS))
         for first in range(item * block, end, strip):
             do(job, first, min(strip, end - first))
         fetch_add(shared + 8 * _DONE, 1)

@@ -20,8 +20,6 @@ from numba import types
 from numba.core import config as _config
 from numba.core.caching import UserProvidedCacheLocator
 
-from rasterizer._native.instructions import define
-
 config: Any = _config  # Its fields are made when it is loaded.
 # Sums may be contracted and reordered, so that loops become vectors; infinities and NaN keep their meaning.
 FAST = {"contract", "reassoc", "nsz"}
@@ -81,13 +79,6 @@ def handler(function: Any) -> Any:
     """A call of XLA's by the function's name: from the address of its frame to 0, or to the address of an error."""
     compiled: Any = numba.cfunc(types.int64(types.int64), cache=FOLDER is not None, **OPTIONS)(function)
     jax.ffi.register_ffi_target(f"rasterizer_{function.__name__}", jax.ffi.pycapsule(compiled.ctypes), platform="cpu")
-    return compiled
-
-
-def task(function: Any) -> Any:
-    """What `calls.share` has threads do, given the address of what they share; `address_of` has it by its name."""
-    compiled: Any = numba.cfunc(types.void(types.int64), cache=FOLDER is not None, **OPTIONS)(function)
-    define(f"rasterizer_{function.__name__}", compiled.address)
     return compiled
 
 

@@ -10,19 +10,16 @@ import numpy as np
 from rasterizer._native.blending import ONE, ZERO
 from rasterizer._native.calls import (
     argument,
-    do_rows,
+    argument_rows,
     finish,
+    floats,
     length,
-    note_arguments,
-    note_results,
     only_introduces,
-    rows_of,
-    set_words,
-    share,
-    word,
+    result_rows,
+    share_rows,
 )
-from rasterizer._native.compiled import handler, inlined, task
-from rasterizer._native.instructions import address_of, floats_at, floats_on_stack, words_on_stack
+from rasterizer._native.compiled import handler, inlined
+from rasterizer._native.instructions import floats_at, floats_on_stack
 from rasterizer._native.vectors import LANES, absolute, larger, load, square_root, store, where
 
 BLOCK, STRIP = 512, 32  # rows that a thread takes at a time, and those whose basis functions it holds
@@ -42,10 +39,9 @@ F30, F31, F32, F33, F34 = map(
 )
 TWO, THREE, FOUR, SIX, EIGHT = map(np.float32, (2, 3, 4, 6, 8))
 
-# Of a job: rows; coefficients of a row; rows of the weights, 1 or as many; addresses of the directions, coefficients,
-# weights, values or their cotangents, and of the gradients to directions and coefficients.
-_ROWS, _BANDS, _WEIGHT_ROWS, _DIRS, _COEFFS, _WEIGHTS, _VALUES, _D_DIRS, _D_COEFFS = range(9)
-_JOB_WORDS = 9
+# Of a frame: its arguments, and its results with gradients.
+_DIRS, _COEFFS, _WEIGHTS, _COTANGENTS = range(4)
+_D_DIRS, _D_COEFFS = range(2)
 
 
 @inlined
@@ -170,61 +166,47 @@ def differentiate_row(d_coeffs, slopes, cotangents, coeffs, basis, weights, band
 
 
 @inlined
-def weights_of(job, row):
-    """The weights of a row."""
-    return rows_of(job, _WEIGHTS, row if word(job, _WEIGHT_ROWS) > 1 else 0, word(job, _BANDS))
+def bands_of(frame):
+    """Coefficients of a row."""
+    return length(argument(frame, _COEFFS), 1)
 
 
 @inlined
-def evaluate_strip(job, first, count):
+def weights_of(frame, row):
+    """The weights of a row, of which there are one or as many."""
+    weights = argument(frame, _WEIGHTS)
+    return floats_at(floats(weights), (row if length(weights, 0) > 1 else 0) * length(weights, 1))
+
+
+@inlined
+def evaluate_strip(frame, first, count):
     """Writes the values of a strip of rows."""
-    strip, basis, bands = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), word(job, _BANDS)
-    read_directions(strip, rows_of(job, _DIRS, first, 3), count)
+    strip, basis, bands = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), bands_of(frame)
+    read_directions(strip, argument_rows(frame, _DIRS, first, 3), count)
     evaluate_basis(basis, strip, bands)
     for i in range(count):
         row = first + i
-        values, coeffs = rows_of(job, _VALUES, row, CHANNELS), rows_of(job, _COEFFS, row, CHANNELS * bands)
-        sum_row(values, coeffs, floats_at(basis, i), weights_of(job, row), bands)
+        values, coeffs = result_rows(frame, 0, row, CHANNELS), argument_rows(frame, _COEFFS, row, CHANNELS * bands)
+        sum_row(values, coeffs, floats_at(basis, i), weights_of(frame, row), bands)
 
 
 @inlined
-def differentiate_strip(job, first, count):
+def differentiate_strip(frame, first, count):
     """Writes the gradients of a strip of rows."""
     strip, basis, slopes = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), floats_on_stack(HELD)
-    bands = word(job, _BANDS)
-    read_directions(strip, rows_of(job, _DIRS, first, 3), count)
+    bands = bands_of(frame)
+    read_directions(strip, argument_rows(frame, _DIRS, first, 3), count)
     evaluate_basis(basis, strip, bands)
     for i in range(count):
         row = first + i
-        d_coeffs = rows_of(job, _D_COEFFS, row, CHANNELS * bands)
-        coeffs = rows_of(job, _COEFFS, row, CHANNELS * bands)
-        cotangents, weights = rows_of(job, _VALUES, row, CHANNELS), weights_of(job, row)
+        d_coeffs = result_rows(frame, _D_COEFFS, row, CHANNELS * bands)
+        coeffs = argument_rows(frame, _COEFFS, row, CHANNELS * bands)
+        cotangents, weights = argument_rows(frame, _COTANGENTS, row, CHANNELS), weights_of(frame, row)
         differentiate_row(d_coeffs, floats_at(slopes, i), cotangents, coeffs, floats_at(basis, i), weights, bands)
     differentiate_directions(strip, slopes, bands)
-    d_dirs = rows_of(job, _D_DIRS, first, 3)
+    d_dirs = result_rows(frame, _D_DIRS, first, 3)
     for i in range(count):
         d_dirs[3 * i], d_dirs[3 * i + 1], d_dirs[3 * i + 2] = strip[_X + i], strip[_Y + i], strip[_Z + i]
-
-
-@task
-def evaluate_bands(shared):
-    """Evaluates blocks until none is left."""
-    do_rows(shared, _ROWS, BLOCK, STRIP, evaluate_strip)
-
-
-@task
-def differentiate_bands(shared):
-    """Differentiates blocks until none is left."""
-    do_rows(shared, _ROWS, BLOCK, STRIP, differentiate_strip)
-
-
-@inlined
-def read_arguments(frame, job):
-    """Writes sizes and addresses of directions, coefficients and weights; returns the number of blocks."""
-    rows = length(argument(frame, 0), 0)
-    set_words(job, _ROWS, rows, length(argument(frame, 1), 1), length(argument(frame, 2), 0))
-    note_arguments(frame, 0, 3, job, _DIRS)
-    return (rows + BLOCK - 1) // BLOCK
 
 
 @handler
@@ -232,10 +214,8 @@ def upper_bands(frame):
     """(directions, coefficients, weights) -> values."""
     if only_introduces(frame):
         return 0
-    job = words_on_stack(_JOB_WORDS)
-    blocks = read_arguments(frame, job)
-    note_results(frame, 0, 1, job, _VALUES)
-    return finish(frame, share(frame, address_of("rasterizer_evaluate_bands"), job, blocks))
+    rows = length(argument(frame, _DIRS), 0)
+    return finish(frame, share_rows(frame, evaluate_strip, frame, rows, BLOCK, STRIP))
 
 
 @handler
@@ -243,8 +223,5 @@ def upper_bands_gradient(frame):
     """(directions, coefficients, weights, cotangents of the values) -> gradients to directions and coefficients."""
     if only_introduces(frame):
         return 0
-    job = words_on_stack(_JOB_WORDS)
-    blocks = read_arguments(frame, job)
-    note_arguments(frame, 3, 1, job, _VALUES)
-    note_results(frame, 0, 2, job, _D_DIRS)
-    return finish(frame, share(frame, address_of("rasterizer_differentiate_bands"), job, blocks))
+    rows = length(argument(frame, _DIRS), 0)
+    return finish(frame, share_rows(frame, differentiate_strip, frame, rows, BLOCK, STRIP))

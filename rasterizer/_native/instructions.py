@@ -118,6 +118,25 @@ def address_of(typingctx, name):
     return types.int64(name), codegen
 
 
+@intrinsic
+def code_of(typingctx, loop, do):
+    """Address of a C function of one word, which `loop(word, do)` answers. Both are compiled functions."""
+    called = typingctx.resolve_function_type(loop, (types.int64, do), {})
+
+    def codegen(context, builder, signature, arguments):
+        compiled = loop.dispatcher.get_compile_result(called)
+        context.add_linking_libs([compiled.library])
+        function = ir.Function(builder.module, ir.FunctionType(WORD, [WORD]), f"task_{compiled.fndesc.mangled_name}")
+        function.linkage = "internal"
+        function.attributes.add("noinline")  # Or LLVM would copy its text to where this thread calls it, too.
+        body = ir.IRBuilder(function.append_basic_block())
+        context.call_internal_no_propagate(body, compiled.fndesc, called, [function.args[0], context.get_dummy_value()])
+        body.ret(WORD(0))
+        return builder.ptrtoint(function, WORD)
+
+    return types.int64(loop, do), codegen
+
+
 def define(name: str, address: int) -> None:
     """Gives an address of this process the name by which compiled code, of another process too, finds it."""
     llvm.add_symbol(name, address)

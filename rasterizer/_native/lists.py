@@ -11,7 +11,6 @@ from rasterizer._native.calls import (
     ARGUMENTS,
     allocate,
     data,
-    do_items,
     finish,
     flags,
     floats,
@@ -26,9 +25,8 @@ from rasterizer._native.calls import (
     share,
     word,
 )
-from rasterizer._native.compiled import handler, inlined, task
+from rasterizer._native.compiled import handler, inlined
 from rasterizer._native.instructions import (
-    address_of,
     as_floats,
     as_int32s,
     as_int64s,
@@ -48,13 +46,11 @@ DIGITS = 1 << DIGIT
 # one axis per pixel along the other.
 LINE, ELLIPSE = 64, 24  # bytes
 SPAN = 12  # bytes of a splat's span, which is int32: its bands, from and to, and the tiles of its box
-# Of a job: its frame, its arguments, the lists and their capacity, offsets, the needed capacity, and the step that
-# threads share; the order and how many it has, where records, spans, counts of tiles and the bands' splats are; then
-# where each band's splats begin.
-_FRAME, _ARGUMENTS, SPLATS, _CAPACITY, OFFSETS, _NEEDED, _STEP = range(7)
-_ORDER, _SHOWN, _RECORDS, _SPANS, _COUNTS, _MEMBERS, _STARTS = range(7, 14)
+# Of a job: its arguments, the lists and their capacity, offsets, and the needed capacity; the order and its length,
+# where records, spans, counts of tiles and the bands' splats are; then where each band's splats begin.
+_ARGUMENTS, SPLATS, _CAPACITY, OFFSETS, _NEEDED = range(5)
+_ORDER, _SHOWN, _RECORDS, _SPANS, _COUNTS, _MEMBERS, _STARTS = range(5, 12)
 LIST_WORDS = _STARTS + BANDS + 1
-_WRITE, _TALLY, _FILL = range(3)  # steps
 # Of `sizes`: tiles along a row, rows of tiles, side of a tile in pixels, cameras.
 _ACROSS, _DOWN, _SIDE, _CAMERAS = 0, 1, 2, 3
 
@@ -261,27 +257,15 @@ def list_band(job, band, filling):
 
 
 @inlined
-def do_step(job, item):
-    """Does an item of a job's step."""
-    if word(job, _STEP) == _WRITE:
-        write_chunk(job, item)
-    elif word(job, _STEP) == _TALLY:
-        list_band(job, item, False)
-    else:
-        list_band(job, item, True)
-
-
-@task
-def list_in_threads(shared):
-    """Does items of a job's step until none is left."""
-    do_items(shared, do_step)
+def count_band(job, band):
+    """Counts the splats of every tile of a band."""
+    list_band(job, band, False)
 
 
 @inlined
-def share_step(job, step, items):
-    """Does a step's items on all threads. Whether there was memory to begin."""
-    set_word(job, _STEP, step)
-    return share(word(job, _FRAME), address_of("rasterizer_list_in_threads"), job, items)
+def fill_band(job, band):
+    """Writes the lists of a band."""
+    list_band(job, band, True)
 
 
 @inlined
@@ -313,7 +297,7 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
     job is the address of `LIST_WORDS` words, `arguments` that of the records of the arguments of `lists`.
     """
     offsets = offsets if offsets != 0 else allocate(4 * (tiles + 1))
-    set_words(job, _FRAME, frame, arguments, splats, capacity, offsets)
+    set_words(job, _ARGUMENTS, arguments, splats, capacity, offsets)
     count = length(list_argument(job, 2), 0)
     workspace, at_members = allocate(LINE * (count + 1) + 8 * tiles + (4 + SPAN + 12) * count), 0
     done = workspace != 0 and offsets != 0
@@ -328,7 +312,7 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
             depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count)
         )
         set_word(job, _SHOWN, num_visible)
-        done = share_step(job, _WRITE, CHUNKS)
+        done = share(frame, write_chunk, job, CHUNKS)
     if done:
         set_word(job, _NEEDED, share_out(job))
         at_members = allocate(4 * word(job, _STARTS + BANDS))
@@ -336,8 +320,8 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
         done = at_members != 0
     if done:
         write_members(job)
-        done = share_step(job, _TALLY, BANDS)
-    done = done and write_offsets(job, tiles) and share_step(job, _FILL, BANDS)
+        done = share(frame, count_band, job, BANDS)
+    done = done and write_offsets(job, tiles) and share(frame, fill_band, job, BANDS)
     release(workspace)
     release(at_members)
     return done

@@ -16,7 +16,6 @@ from rasterizer._native.calls import (
     allocate,
     argument,
     count_arguments,
-    do_items,
     finish,
     floats_of,
     int32s_of,
@@ -31,9 +30,8 @@ from rasterizer._native.calls import (
     share,
     word,
 )
-from rasterizer._native.compiled import handler, inlined, task
+from rasterizer._native.compiled import handler, inlined
 from rasterizer._native.instructions import (
-    address_of,
     as_floats,
     as_int32s,
     floats_at,
@@ -56,13 +54,12 @@ BANDS = 6  # How many are best depends little on the scene; no more threads than
 AHEAD = 16  # splats: memory answers about so many later
 CHUNKS = 16  # Of rows, whose gradients are added together.
 LISTED = 8  # arguments of `lists`
-# Of a job: its frame, the step that threads share, whether memory was lacking; addresses of the numbers of arguments
-# and results; how many rows and tiles there are; then two words a band: where its splats' sums are, and these.
-_FRAME, _STEP, _LACKED, _SIZES, _RULES = range(5)
-_ROWS, _SPLATS, _OFFSETS, _FEATURES, _LIGHT, _LAST, _MEDIAN, _D_FEATURES, _D_LIGHT, _D_ROWS = range(5, 15)
-_COUNT, _GIVEN, _TILES, _BANDS = range(15, 19)
+# Of a job: whether memory was lacking; addresses of the numbers of arguments and results; how many rows, numbers of a
+# row and tiles there are; then two words a band: where its splats' sums are, and these.
+_LACKED, _SIZES, _RULES = range(3)
+_ROWS, _SPLATS, _OFFSETS, _FEATURES, _LIGHT, _LAST, _MEDIAN, _D_FEATURES, _D_LIGHT, _D_ROWS = range(3, 13)
+_COUNT, _GIVEN, _TILES, _BANDS = range(13, 17)
 _JOB_WORDS = _BANDS + 2 * BANDS
-_BLEND, _UNBLEND, _ADD = range(3)  # steps
 # Of `sizes`: tiles along a row, tiles of a camera, side of a tile in pixels, channels that end in front, whether the
 # median is computed, probes.
 _ACROSS, _OF_CAMERA, _SIDE, _IN_FRONT, _WITH_MEDIAN, _PROBES = range(6)
@@ -242,31 +239,6 @@ def add_chunk(job, chunk):
 
 
 @inlined
-def do_step(job, item):
-    """Does an item of a job's step."""
-    if word(job, _STEP) == _BLEND:
-        blend_band(job, item)
-    elif word(job, _STEP) == _UNBLEND:
-        unblend_band(job, item)
-    else:
-        add_chunk(job, item)
-
-
-@task
-def pass_in_threads(shared):
-    """Does items of a job's step until none is left."""
-    do_items(shared, do_step)
-
-
-@inlined
-def share_step(job, step, items):
-    """Does a step's items on all threads. Whether there was memory."""
-    set_word(job, _STEP, step)
-    done = share(word(job, _FRAME), address_of("rasterizer_pass_in_threads"), job, items)
-    return done and word(job, _LACKED) == 0
-
-
-@inlined
 def begin(job, lists_job, frame, listed, tiles):
     """Writes what both passes read, and lists the splats where the caller gave no lists. Whether there was memory.
 
@@ -274,7 +246,6 @@ def begin(job, lists_job, frame, listed, tiles):
     """
     for place in range(_JOB_WORDS):
         set_word(job, place, 0)
-    set_word(job, _FRAME, frame)
     note_arguments(frame, count_arguments(frame) - 2, 2, job, _SIZES)
     note_arguments(frame, 0, 1, job, _ROWS)
     set_words(job, _COUNT, length(argument(frame, 0), 0), length(argument(frame, 0), 1), tiles)
@@ -315,7 +286,7 @@ def forward(frame):
     done = begin(job, lists_job, frame, listed, length(result(frame, 1), 0))
     if done:
         note_results(frame, 0, 4, job, _FEATURES)
-        done = share_step(job, _BLEND, BANDS)
+        done = share(frame, blend_band, job, BANDS) and word(job, _LACKED) == 0
     if done:
         name_medians(job, length(result(frame, 1), 1))
     end(job, listed)
@@ -333,6 +304,7 @@ def backward(frame):
         note_arguments(frame, listed + 1, 2, job, _LIGHT)
         note_arguments(frame, listed + 3, 2, job, _D_FEATURES)
         note_results(frame, 0, 1, job, _D_ROWS)
-        done = share_step(job, _UNBLEND, BANDS) and share_step(job, _ADD, CHUNKS)
+        done = share(frame, unblend_band, job, BANDS) and word(job, _LACKED) == 0
+        done = done and share(frame, add_chunk, job, CHUNKS)
     end(job, listed)
     return finish(frame, done)

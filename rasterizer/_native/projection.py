@@ -11,21 +11,18 @@ import numpy as np
 from rasterizer._native.blending import ONE, ZERO
 from rasterizer._native.calls import (
     argument,
-    do_rows,
+    argument_rows,
+    data,
     finish,
-    floats_of,
+    floats,
     length,
-    note_arguments,
-    note_results,
     only_introduces,
-    rows_of,
-    set_word,
-    set_words,
-    share,
+    result,
+    result_rows,
+    share_rows,
     size,
-    word,
 )
-from rasterizer._native.compiled import handler, inlined, task
+from rasterizer._native.compiled import handler, inlined
 from rasterizer._native.ewa import (
     Lens,
     axes_gradient,
@@ -40,20 +37,18 @@ from rasterizer._native.ewa import (
     tilt_gradient,
     tilt_of,
 )
-from rasterizer._native.instructions import address_of, as_bytes, floats_on_stack, words_on_stack
+from rasterizer._native.instructions import as_bytes, floats_on_stack
 from rasterizer._native.vectors import LANES, broadcast, floor, load, square_root, store, where
 
 BLOCK = 512  # Gaussians that a thread takes at a time
 MARGIN = np.float32(0.15)  # of the image, by which the affine approximation is taken beyond it
 HALF = np.float32(0.5)
 
-# Of a job: Gaussians and cameras; addresses of means, quaternions, scales, opacities, viewmats, Ks, options; of what
-# comes out, or of its cotangents; of the gradients to means, quaternions and scales.
-_ROWS, _CAMERAS = 0, 1
-_MEANS, _QUATS, _SCALES, _OPACITIES, _VIEWMATS, _KS, _OPTIONS = range(2, 9)
-_MEANS2D, _DEPTHS, _CONICS, _COMPENSATIONS, _SLOPES, _EXTENTS, _VISIBLE = range(9, 16)
-_D_MEANS, _D_QUATS, _D_SCALES = range(16, 19)
-_JOB_WORDS = 19
+# Of a frame: its arguments, with cotangents from `_TO_MEANS2D` on; results of `project`; results with gradients.
+_MEANS, _QUATS, _SCALES, _OPACITIES, _VIEWMATS, _KS, _OPTIONS = range(7)
+_TO_MEANS2D, _TO_DEPTHS, _TO_CONICS, _TO_COMPENSATIONS, _TO_SLOPES = range(7, 12)
+_MEANS2D, _DEPTHS, _CONICS, _COMPENSATIONS, _SLOPES, _EXTENTS, _VISIBLE = range(7)
+_D_MEANS, _D_QUATS, _D_SCALES = range(3)
 # Of the options, float32: the image's size, `project`'s numbers, `Rules`', and whether compensations and slopes are
 # computed and extents shrink.
 _WIDTH, _HEIGHT, _EPS2D, _NEAR, _FAR, _RADIUS_CLIP, _ALPHA_MIN, _COMPENSATION_MIN, _SIGMAS = range(9)
@@ -79,40 +74,59 @@ def set_column(rows, width, place, count, vector):
 
 
 @inlined
-def columns_of_three(job, place, row, count):
-    """Three vectors."""
-    rows = rows_of(job, place, row, 3)
+def columns_of_three(frame, place, row, count):
+    """Three vectors of an argument."""
+    rows = argument_rows(frame, place, row, 3)
     return column(rows, 3, 0, count), column(rows, 3, 1, count), column(rows, 3, 2, count)
 
 
 @inlined
-def set_columns_of_three(job, place, row, count, vectors):
-    """Writes three numbers of each row."""
-    rows = rows_of(job, place, row, 3)
+def set_columns_of_three(frame, place, row, count, vectors):
+    """Writes three numbers of each row of a result."""
+    rows = result_rows(frame, place, row, 3)
     set_column(rows, 3, 0, count, vectors[0])
     set_column(rows, 3, 1, count, vectors[1])
     set_column(rows, 3, 2, count, vectors[2])
 
 
 @inlined
-def columns_of_two(job, place, row, count):
-    """Two vectors."""
-    rows = rows_of(job, place, row, 2)
+def columns_of_two(frame, place, row, count):
+    """Two vectors of an argument."""
+    rows = argument_rows(frame, place, row, 2)
     return column(rows, 2, 0, count), column(rows, 2, 1, count)
 
 
 @inlined
-def set_columns_of_two(job, place, row, count, vectors):
-    """Writes two numbers of each row."""
-    rows = rows_of(job, place, row, 2)
+def set_columns_of_two(frame, place, row, count, vectors):
+    """Writes two numbers of each row of a result."""
+    rows = result_rows(frame, place, row, 2)
     set_column(rows, 2, 0, count, vectors[0])
     set_column(rows, 2, 1, count, vectors[1])
 
 
 @inlined
-def lens_of(job, camera):
+def options_of(frame):
+    """The numbers of the options."""
+    return floats(argument(frame, _OPTIONS))
+
+
+@inlined
+def count_rows(frame):
+    """Gaussians."""
+    return length(argument(frame, _MEANS), 0)
+
+
+@inlined
+def count_cameras(frame):
+    """Cameras."""
+    return length(argument(frame, _VIEWMATS), 0)
+
+
+@inlined
+def lens_of(frame, camera):
     """A camera's `Lens`."""
-    v, k, options = rows_of(job, _VIEWMATS, camera, 16), rows_of(job, _KS, camera, 9), floats_of(job, _OPTIONS)
+    v, k = argument_rows(frame, _VIEWMATS, camera, 16), argument_rows(frame, _KS, camera, 9)
+    options = options_of(frame)
     fx, fy, cx, cy = k[0], k[4], k[2], k[5]
     width, height = options[_WIDTH], options[_HEIGHT]
     return Lens(
@@ -129,28 +143,28 @@ def lens_of(job, camera):
 
 
 @inlined
-def gaussians_at(job, first, count):
+def gaussians_at(frame, first, count):
     """The Gaussians from a row on."""
-    quats = rows_of(job, _QUATS, first, 4)
+    quats = argument_rows(frame, _QUATS, first, 4)
     w, x = column(quats, 4, 0, count), column(quats, 4, 1, count)
     y, z = column(quats, 4, 2, count), column(quats, 4, 3, count)
-    mean, scales = columns_of_three(job, _MEANS, first, count), columns_of_three(job, _SCALES, first, count)
+    mean, scales = columns_of_three(frame, _MEANS, first, count), columns_of_three(frame, _SCALES, first, count)
     return gaussian_of(mean, (w, x, y, z), scales)
 
 
 @inlined
-def is_usable(job, g, view, lens, opacity):
+def is_usable(frame, g, view, lens, opacity):
     """Where a Gaussian is in front, not too faint, and nothing of it overflows or is NaN."""
     center, conic, (xx, _, yy) = center_of(view, lens), conic_of(view), view.variances
     # Zero times a number that is not finite is NaN.
     total = ZERO * view.det + ZERO * opacity + ZERO * (xx + yy) + ZERO * (center[0] + center[1])
     total = total + ZERO * conic[0] + ZERO * conic[1] + ZERO * conic[2]
-    if floats_of(job, _OPTIONS)[_PLANE] > ZERO:
+    if options_of(frame)[_PLANE] > ZERO:
         tilt = tilt_of(g, view, lens)
         total = total + ZERO * (tilt.steep[0] * tilt.flatter) + ZERO * (tilt.steep[1] * tilt.flatter)
     z = view.depth
     usable = (z > lens.near) & (z < lens.far) & (view.det > ZERO) & (xx > ZERO) & (yy > ZERO)
-    return usable & (opacity >= broadcast(floats_of(job, _OPTIONS)[_ALPHA_MIN])) & (total == ZERO)
+    return usable & (opacity >= broadcast(options_of(frame)[_ALPHA_MIN])) & (total == ZERO)
 
 
 @inlined
@@ -162,9 +176,9 @@ def compensation_of(view, least):
 
 
 @inlined
-def sigmas_of(job, opacity):
+def sigmas_of(frame, opacity):
     """The standard deviations up to which a splat can pass the alpha cut."""
-    options, lanes = floats_of(job, _OPTIONS), floats_on_stack(LANES)
+    options, lanes = options_of(frame), floats_on_stack(LANES)
     store(lanes, opacity)
     for i in range(LANES):
         sigmas = options[_SIGMAS]
@@ -176,76 +190,76 @@ def sigmas_of(job, opacity):
 
 
 @inlined
-def project_some(job, first, count):
+def project_some(frame, first, count):
     """Projects the Gaussians from a row on into all cameras."""
-    for camera in range(word(job, _CAMERAS)):
-        project_into(job, camera, first, count)
+    for camera in range(count_cameras(frame)):
+        project_into(frame, camera, first, count)
 
 
 @inlined
-def project_into(job, camera, first, count):
+def project_into(frame, camera, first, count):
     """Projects the Gaussians from a row on into a camera."""
-    lens, options, row = lens_of(job, camera), floats_of(job, _OPTIONS), camera * word(job, _ROWS) + first
-    g, opacity = gaussians_at(job, first, count), column(rows_of(job, _OPACITIES, first, 1), 1, 0, count)
+    lens, options, row = lens_of(frame, camera), options_of(frame), camera * count_rows(frame) + first
+    g, opacity = gaussians_at(frame, first, count), column(argument_rows(frame, _OPACITIES, first, 1), 1, 0, count)
     view = see(g, lens)
-    usable = is_usable(job, g, view, lens, opacity)
+    usable = is_usable(frame, g, view, lens, opacity)
     if options[_ANTIALIASED] > ZERO:
         factor, _ = compensation_of(view, options[_COMPENSATION_MIN])
         opacity = opacity * factor
-        set_column(rows_of(job, _COMPENSATIONS, row, 1), 1, 0, count, where(usable, factor, ONE))
+        set_column(result_rows(frame, _COMPENSATIONS, row, 1), 1, 0, count, where(usable, factor, ONE))
     if options[_PLANE] > ZERO:
         tilt = tilt_of(g, view, lens)
         steep_x, steep_y = tilt.steep[0] * tilt.flatter, tilt.steep[1] * tilt.flatter
-        set_columns_of_two(job, _SLOPES, row, count, (where(usable, steep_x, ZERO), where(usable, steep_y, ZERO)))
+        set_columns_of_two(frame, _SLOPES, row, count, (where(usable, steep_x, ZERO), where(usable, steep_y, ZERO)))
     (x, y), conic = center_of(view, lens), conic_of(view)
     x, y = where(usable, x, lens.center[0]), where(usable, y, lens.center[1])
-    set_columns_of_two(job, _MEANS2D, row, count, (x, y))
-    set_column(rows_of(job, _DEPTHS, row, 1), 1, 0, count, where(usable, view.depth, ONE))
+    set_columns_of_two(frame, _MEANS2D, row, count, (x, y))
+    set_column(result_rows(frame, _DEPTHS, row, 1), 1, 0, count, where(usable, view.depth, ONE))
     conic = where(usable, conic[0], ONE), where(usable, conic[1], ZERO), where(usable, conic[2], ONE)
-    set_columns_of_three(job, _CONICS, row, count, conic)
+    set_columns_of_three(frame, _CONICS, row, count, conic)
     usable = usable & (opacity >= broadcast(options[_ALPHA_MIN]))
-    sigmas, (xx, _, yy) = sigmas_of(job, where(usable, opacity, ONE)), view.variances
-    set_extents(job, row, count, usable, (x, y), (sigmas * square_root(xx), sigmas * square_root(yy)))
+    sigmas, (xx, _, yy) = sigmas_of(frame, where(usable, opacity, ONE)), view.variances
+    set_extents(frame, row, count, usable, (x, y), (sigmas * square_root(xx), sigmas * square_root(yy)))
 
 
 @inlined
-def set_extents(job, row, count, usable, center, reach):
+def set_extents(frame, row, count, usable, center, reach):
     """Writes which splats are visible, and their extents."""
-    options = floats_of(job, _OPTIONS)
+    options = options_of(frame)
     radius_x, radius_y = -floor(-reach[0]), -floor(-reach[1])  # Whole pixels, as gsplat's are.
     visible = usable & (center[0] + radius_x > ZERO) & (center[0] - radius_x < options[_WIDTH])
     visible = visible & (center[1] + radius_y > ZERO) & (center[1] - radius_y < options[_HEIGHT])
     if options[_RADIUS_CLIP] > ZERO:
         visible = visible & ((radius_x > options[_RADIUS_CLIP]) | (radius_y > options[_RADIUS_CLIP]))
     extents = where(visible, reach[0], ZERO), where(visible, reach[1], ZERO)
-    set_columns_of_two(job, _EXTENTS, row, count, extents)
-    lanes, flags = floats_on_stack(LANES), as_bytes(word(job, _VISIBLE) + row)
+    set_columns_of_two(frame, _EXTENTS, row, count, extents)
+    lanes, flags = floats_on_stack(LANES), as_bytes(data(result(frame, _VISIBLE)) + row)
     store(lanes, where(visible, ONE, broadcast(ZERO)))
     for i in range(count):
         flags[i] = lanes[i] > ZERO
 
 
 @inlined
-def gradient_in_view(job, camera, first, count, g, opacity):
+def gradient_in_view(frame, camera, first, count, g, opacity):
     """Gradients to mean, quaternion and scales of the Gaussians from a row on, as one camera sees them."""
-    lens, options, row = lens_of(job, camera), floats_of(job, _OPTIONS), camera * word(job, _ROWS) + first
+    lens, options, row = lens_of(frame, camera), options_of(frame), camera * count_rows(frame) + first
     view, nothing = see(g, lens), broadcast(ZERO)
-    center, conic = columns_of_two(job, _MEANS2D, row, count), columns_of_three(job, _CONICS, row, count)
-    depth, to_det, to_sharp = column(rows_of(job, _DEPTHS, row, 1), 1, 0, count), nothing, nothing
+    center, conic = columns_of_two(frame, _TO_MEANS2D, row, count), columns_of_three(frame, _TO_CONICS, row, count)
+    depth, to_det, to_sharp = column(argument_rows(frame, _TO_DEPTHS, row, 1), 1, 0, count), nothing, nothing
     to_x, to_y, to_z = (nothing, nothing, nothing), (nothing, nothing, nothing), (nothing, nothing, nothing)
     if options[_PLANE] > ZERO:
-        slopes = columns_of_two(job, _SLOPES, row, count)
+        slopes = columns_of_two(frame, _TO_SLOPES, row, count)
         to_x, to_y, to_z, to_det, to_depth = tilt_gradient(tilt_of(g, view, lens), view, lens, slopes)
         depth = depth + to_depth
     if options[_ANTIALIASED] > ZERO:
         factor, above = compensation_of(view, options[_COMPENSATION_MIN])
-        to_factor = column(rows_of(job, _COMPENSATIONS, row, 1), 1, 0, count)
+        to_factor = column(argument_rows(frame, _TO_COMPENSATIONS, row, 1), 1, 0, count)
         to_ratio = where(above, HALF * to_factor / factor, ZERO) / view.det
         to_sharp, to_det = to_sharp + to_ratio, to_det - to_ratio * factor * factor
     more_x, more_y = covariance_gradient(view, lens, conic, to_det, to_sharp)
     to_axes, to_scales, to_row_x, to_row_y = axes_gradient(g, view, lens, plus(to_x, more_x), plus(to_y, more_y), to_z)
     to_mean = mean_gradient(view, lens, center, depth, to_row_x, to_row_y)
-    usable, to_quat = is_usable(job, g, view, lens, opacity), quat_gradient(g, to_axes)
+    usable, to_quat = is_usable(frame, g, view, lens, opacity), quat_gradient(g, to_axes)
     (x, y, z), w = where_three(usable, to_quat[1:]), where(usable, to_quat[0], ZERO)
     return where_three(usable, to_mean), (w, x, y, z), where_three(usable, to_scales)
 
@@ -257,12 +271,12 @@ def where_three(mask, vectors):
 
 
 @inlined
-def is_pulled(job, camera, first, count):
+def is_pulled(frame, camera, first, count):
     """Whether a cotangent of the Gaussians from a row on is not zero."""
-    row = camera * word(job, _ROWS) + first
-    for place, width in ((_MEANS2D, 2), (_DEPTHS, 1), (_CONICS, 3), (_COMPENSATIONS, 1), (_SLOPES, 2)):
-        if word(job, place) != 0:
-            cotangents = rows_of(job, place, row, width)
+    row = camera * count_rows(frame) + first
+    for place, width in ((_TO_MEANS2D, 2), (_TO_DEPTHS, 1), (_TO_CONICS, 3), (_TO_COMPENSATIONS, 1), (_TO_SLOPES, 2)):
+        if size(argument(frame, place)) > 0:
+            cotangents = argument_rows(frame, place, row, width)
             for i in range(count * width):
                 if cotangents[i] != ZERO:
                     return True
@@ -270,44 +284,23 @@ def is_pulled(job, camera, first, count):
 
 
 @inlined
-def differentiate_some(job, first, count):
+def differentiate_some(frame, first, count):
     """Writes the gradients of the Gaussians from a row on."""
-    g, opacity = gaussians_at(job, first, count), column(rows_of(job, _OPACITIES, first, 1), 1, 0, count)
+    g, opacity = gaussians_at(frame, first, count), column(argument_rows(frame, _OPACITIES, first, 1), 1, 0, count)
     nothing = broadcast(ZERO)
     to_mean, to_scales = (nothing, nothing, nothing), (nothing, nothing, nothing)
     w, to_axis = nothing, (nothing, nothing, nothing)
-    for camera in range(word(job, _CAMERAS)):
-        if is_pulled(job, camera, first, count):
-            mean, quat, scales = gradient_in_view(job, camera, first, count, g, opacity)
+    for camera in range(count_cameras(frame)):
+        if is_pulled(frame, camera, first, count):
+            mean, quat, scales = gradient_in_view(frame, camera, first, count, g, opacity)
             to_mean, to_scales = plus(to_mean, mean), plus(to_scales, scales)
             w, to_axis = w + quat[0], plus(to_axis, quat[1:])
-    set_columns_of_three(job, _D_MEANS, first, count, to_mean)
-    set_columns_of_three(job, _D_SCALES, first, count, to_scales)
-    quats = rows_of(job, _D_QUATS, first, 4)
+    set_columns_of_three(frame, _D_MEANS, first, count, to_mean)
+    set_columns_of_three(frame, _D_SCALES, first, count, to_scales)
+    quats = result_rows(frame, _D_QUATS, first, 4)
     set_column(quats, 4, 0, count, w)
     for place in range(3):
         set_column(quats, 4, place + 1, count, to_axis[place])
-
-
-@task
-def project_blocks(shared):
-    """Projects blocks until none is left."""
-    do_rows(shared, _ROWS, BLOCK, LANES, project_some)
-
-
-@task
-def differentiate_blocks(shared):
-    """Differentiates blocks until none is left."""
-    do_rows(shared, _ROWS, BLOCK, LANES, differentiate_some)
-
-
-@inlined
-def read_arguments(frame, job):
-    """Writes sizes and addresses of Gaussians, cameras and options; returns the number of blocks."""
-    rows = length(argument(frame, 0), 0)
-    set_words(job, _ROWS, rows, length(argument(frame, 4), 0))
-    note_arguments(frame, 0, 7, job, _MEANS)
-    return (rows + BLOCK - 1) // BLOCK
 
 
 @handler
@@ -315,22 +308,15 @@ def project(frame):
     """(means, quats, scales, opacities, viewmats, Ks, options) -> the fields of `Projection`, from `means2d` on."""
     if only_introduces(frame):
         return 0
-    job = words_on_stack(_JOB_WORDS)
-    blocks = read_arguments(frame, job)
-    note_results(frame, 0, 7, job, _MEANS2D)
-    return finish(frame, share(frame, address_of("rasterizer_project_blocks"), job, blocks))
+    return finish(frame, share_rows(frame, project_some, frame, count_rows(frame), BLOCK, LANES))
 
 
 @handler
 def project_gradient(frame):
-    """(the same, cotangents of means2d, depths, conics, compensations, slopes) -> of means, quats and scales."""
+    """(the same, cotangents of means2d, depths, conics, compensations, slopes) -> of means, quats and scales.
+
+    A cotangent without numbers is zero.
+    """
     if only_introduces(frame):
         return 0
-    job = words_on_stack(_JOB_WORDS)
-    blocks = read_arguments(frame, job)
-    note_arguments(frame, 7, 5, job, _MEANS2D)
-    for place in range(5):
-        if size(argument(frame, 7 + place)) == 0:
-            set_word(job, _MEANS2D + place, 0)
-    note_results(frame, 0, 3, job, _D_MEANS)
-    return finish(frame, share(frame, address_of("rasterizer_differentiate_blocks"), job, blocks))
+    return finish(frame, share_rows(frame, differentiate_some, frame, count_rows(frame), BLOCK, LANES))

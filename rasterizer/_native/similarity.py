@@ -10,20 +10,18 @@ import numpy as np
 from rasterizer._native.blending import ONE, ZERO
 from rasterizer._native.calls import (
     argument,
-    do_items,
+    argument_rows,
+    data,
     finish,
-    floats_of,
+    floats,
     length,
-    note_arguments,
-    note_results,
     only_introduces,
-    rows_of,
-    set_word,
+    result,
+    result_rows,
     share,
-    word,
 )
-from rasterizer._native.compiled import handler, inlined, task
-from rasterizer._native.instructions import address_of, as_bytes, floats_at, floats_on_stack, words_on_stack
+from rasterizer._native.compiled import handler, inlined
+from rasterizer._native.instructions import as_bytes, floats_at, floats_on_stack
 
 MAX_IMAGE_CHANNELS, RADIUS = 3, 5  # channels of an image, pixels that the window reaches
 TILE_ROWS, WIDTH = 32, 192  # rows of a tile and numbers of a row, without the border
@@ -40,10 +38,9 @@ _exponentials = np.exp(-0.5 * (np.arange(RADIUS + 1) / 1.5) ** 2)
 W0, W1, W2, W3, W4, W5 = (_exponentials / (2 * _exponentials.sum() - 1)).astype(np.float32)
 C1, C2, TWO = np.float32(0.01**2), np.float32(0.03**2), np.float32(2)
 
-# Of a job: size of the images; addresses of the images, the mask, the sum of each tile, the slopes, the cotangent and
-# the gradient; how many planes have means: as a literal, LLVM would repeat their loops and compile twice as long.
-_HEIGHT, _COLUMNS, _CHANNELS, _IMAGES, _TARGETS, _MASK, _SUMS, _SLOPES, _SCALE, _GRADIENT, _MEANS = range(11)
-_JOB_WORDS = 11
+# Of a frame: its arguments, and the results of `ssim`.
+_IMAGES, _TARGETS, _MASK, _SLOPES, _SCALE = range(5)
+_SUMS, _NEW_SLOPES = range(2)
 
 
 @inlined
@@ -78,15 +75,14 @@ def blur_row(target, source, channels):
 
 
 @inlined
-def means_of_row(job, means, blurred, planes, row):
-    """Window means about a row of a tile; rows come in order, from 0."""
-    count = word(job, _MEANS)
+def means_of_row(means, blurred, planes, count, row, channels):
+    """Window means about a row of a tile of so many planes; rows come in order, from 0."""
     if row % FOUR == 0:
         for plane in range(count):
             blur_columns(floats_at(blurred, plane * FOUR_ROWS), floats_at(planes, plane * PLANE + row * HELD_WIDTH))
     for plane in range(count):
         source = floats_at(blurred, plane * FOUR_ROWS + row % FOUR * HELD_WIDTH)
-        blur_row(floats_at(means, plane * WIDTH), source, word(job, _CHANNELS))
+        blur_row(floats_at(means, plane * WIDTH), source, channels)
 
 
 @inlined
@@ -104,18 +100,20 @@ def copy(target, source, count):
 
 
 @inlined
-def tiles_across(job):
-    """Tiles next to each other."""
-    columns = WIDTH // word(job, _CHANNELS)
-    return (word(job, _COLUMNS) + columns - 1) // columns
+def shape_of(frame):
+    """Height, width and channels of the images."""
+    image = argument(frame, _IMAGES)
+    return length(image, 0), length(image, 1), length(image, 2)
 
 
 @inlined
-def place_of_tile(job, tile):
+def place_of_tile(frame, tile):
     """First row, end of the rows, first column and end of the columns of a tile."""
-    across, columns = tiles_across(job), WIDTH // word(job, _CHANNELS)
+    height, width, channels = shape_of(frame)
+    columns = WIDTH // channels
+    across = (width + columns - 1) // columns
     top, left = tile // across * TILE_ROWS, tile % across * columns
-    return top, min(top + TILE_ROWS, word(job, _HEIGHT)), left, min(left + columns, word(job, _COLUMNS))
+    return top, min(top + TILE_ROWS, height), left, min(left + columns, width)
 
 
 @inlined
@@ -134,21 +132,27 @@ def read_mask(valid, mask, columns, channels):
 
 
 @inlined
-def read_tile(job, planes, tile):
+def pixels_from(frame, place, channels):
+    """The image and the target from a pixel on."""
+    return argument_rows(frame, _IMAGES, place, channels), argument_rows(frame, _TARGETS, place, channels)
+
+
+@inlined
+def read_tile(frame, planes, tile):
     """The five planes of a tile with its border: zeros at invalid pixels, and beyond the images."""
-    columns, channels = word(job, _COLUMNS), word(job, _CHANNELS)
-    top, end_row, left, end_column = place_of_tile(job, tile)
-    begin, end = max(left - RADIUS, 0), min(end_column + RADIUS, columns)
-    first, last = max(top - RADIUS, 0), min(end_row + RADIUS, word(job, _HEIGHT))
+    height, width, channels = shape_of(frame)
+    top, end_row, left, end_column = place_of_tile(frame, tile)
+    begin, end = max(left - RADIUS, 0), min(end_column + RADIUS, width)
+    first, last = max(top - RADIUS, 0), min(end_row + RADIUS, height)
     inset = floats_at(planes, (begin - left + RADIUS) * channels - (top - RADIUS) * HELD_WIDTH)
     clear(planes, PLANES)
     # All rows before the next loop: a processor that reads what it has just written in smaller parts waits for it.
     for y in range(first, last):
         valid = floats_at(inset, _VALID + y * HELD_WIDTH)
-        read_mask(valid, as_bytes(word(job, _MASK) + y * columns + begin), end - begin, channels)
+        read_mask(valid, as_bytes(data(argument(frame, _MASK)) + y * width + begin), end - begin, channels)
     for y in range(first, last):
-        place, row = y * columns + begin, floats_at(inset, y * HELD_WIDTH)
-        image, target = rows_of(job, _IMAGES, place, channels), rows_of(job, _TARGETS, place, channels)
+        place, row = y * width + begin, floats_at(inset, y * HELD_WIDTH)
+        image, target = pixels_from(frame, place, channels)
         for i in range((end - begin) * channels):
             is_valid = row[_VALID + i] > ZERO
             a, b = image[i] if is_valid else ZERO, target[i] if is_valid else ZERO
@@ -174,76 +178,64 @@ def compare(means, valid):
 
 
 @inlined
-def compare_tile(job, tile):
+def compare_tile(frame, tile):
     """Writes the sum of a tile's SSIM, and its slopes."""
     planes, blurred, means = floats_on_stack(PLANES), floats_on_stack(BLURRED), floats_on_stack(MEANS)
-    columns, channels, total = word(job, _COLUMNS), word(job, _CHANNELS), ZERO
-    top, end_row, left, end_column = place_of_tile(job, tile)
-    read_tile(job, planes, tile)
+    (height, width, channels), total = shape_of(frame), ZERO
+    top, end_row, left, end_column = place_of_tile(frame, tile)
+    count = length(result(frame, _NEW_SLOPES), 0) + 1  # Of a literal LLVM would repeat the loops, and compile longer.
+    read_tile(frame, planes, tile)
     for y in range(top, end_row):
-        means_of_row(job, means, blurred, planes, y - top)
+        means_of_row(means, blurred, planes, count, y - top, channels)
         valid = floats_at(planes, _VALID + (y - top + RADIUS) * HELD_WIDTH + RADIUS * channels)
         total += compare(means, valid)
         for plane in range(3):
-            slopes = rows_of(job, _SLOPES, (plane * word(job, _HEIGHT) + y) * columns + left, channels)
+            slopes = result_rows(frame, _NEW_SLOPES, (plane * height + y) * width + left, channels)
             copy(slopes, floats_at(means, plane * WIDTH), (end_column - left) * channels)
-    floats_of(job, _SUMS)[tile] = total
+    floats(result(frame, _SUMS))[tile] = total
 
 
 @inlined
-def read_slopes(job, planes, tile):
+def read_slopes(frame, planes, tile):
     """The three planes of slopes of a tile with its border, and which of its pixels are valid."""
-    columns, channels, height = word(job, _COLUMNS), word(job, _CHANNELS), word(job, _HEIGHT)
-    top, end_row, left, end_column = place_of_tile(job, tile)
-    begin, end = max(left - RADIUS, 0), min(end_column + RADIUS, columns)
+    height, width, channels = shape_of(frame)
+    top, end_row, left, end_column = place_of_tile(frame, tile)
+    begin, end = max(left - RADIUS, 0), min(end_column + RADIUS, width)
     inset = floats_at(planes, (begin - left + RADIUS) * channels - (top - RADIUS) * HELD_WIDTH)
     clear(planes, BACK_PLANES)
     for plane in range(3):
         for y in range(max(top - RADIUS, 0), min(end_row + RADIUS, height)):
-            slopes = rows_of(job, _SLOPES, (plane * height + y) * columns + begin, channels)
+            slopes = argument_rows(frame, _SLOPES, (plane * height + y) * width + begin, channels)
             copy(floats_at(inset, plane * PLANE + y * HELD_WIDTH), slopes, (end - begin) * channels)
     for y in range(top, end_row):
         valid = floats_at(planes, _VALID_BACK + (y - top) * HELD_WIDTH)
-        read_mask(valid, as_bytes(word(job, _MASK) + y * columns + left), end_column - left, channels)
+        read_mask(valid, as_bytes(data(argument(frame, _MASK)) + y * width + left), end_column - left, channels)
 
 
 @inlined
-def differentiate_tile(job, tile):
+def differentiate_tile(frame, tile):
     """Writes a tile's gradient to the image."""
     planes, blurred, means = floats_on_stack(BACK_PLANES), floats_on_stack(BLURRED), floats_on_stack(MEANS)
-    columns, channels, scale = word(job, _COLUMNS), word(job, _CHANNELS), floats_of(job, _SCALE)[0]
-    top, end_row, left, end_column = place_of_tile(job, tile)
-    read_slopes(job, planes, tile)
+    (_, width, channels), scale = shape_of(frame), floats(argument(frame, _SCALE))[0]
+    top, end_row, left, end_column = place_of_tile(frame, tile)
+    count = length(argument(frame, _SLOPES), 0)  # As in `compare_tile`.
+    read_slopes(frame, planes, tile)
     for y in range(top, end_row):
-        means_of_row(job, means, blurred, planes, y - top)
+        means_of_row(means, blurred, planes, count, y - top, channels)
         valid = floats_at(planes, _VALID_BACK + (y - top) * HELD_WIDTH)
-        place = y * columns + left
-        image, target = rows_of(job, _IMAGES, place, channels), rows_of(job, _TARGETS, place, channels)
-        gradient = rows_of(job, _GRADIENT, place, channels)
+        place = y * width + left
+        image, target = pixels_from(frame, place, channels)
+        gradient = result_rows(frame, 0, place, channels)
         for i in range((end_column - left) * channels):
             slope = means[i] + TWO * image[i] * means[WIDTH + i] + target[i] * means[2 * WIDTH + i]
             gradient[i] = scale * slope if valid[i] > ZERO else ZERO
 
 
-@task
-def compare_tiles(shared):
-    """Compares tiles until none is left."""
-    do_items(shared, compare_tile)
-
-
-@task
-def differentiate_tiles(shared):
-    """Differentiates tiles until none is left."""
-    do_items(shared, differentiate_tile)
-
-
 @inlined
-def write_images(frame, job):
-    """Writes size and addresses of the first three arguments: image, target and mask; returns the number of tiles."""
-    for axis in range(3):
-        set_word(job, _HEIGHT + axis, length(argument(frame, 0), axis))
-    note_arguments(frame, 0, 3, job, _IMAGES)
-    return tiles_across(job) * ((word(job, _HEIGHT) + TILE_ROWS - 1) // TILE_ROWS)
+def count_tiles(height, width, channels):
+    """Tiles of an image."""
+    columns = WIDTH // channels
+    return ((height + TILE_ROWS - 1) // TILE_ROWS) * ((width + columns - 1) // columns)
 
 
 @handler
@@ -251,11 +243,7 @@ def ssim(frame):
     """(image, target, mask) -> the sum of SSIM over the valid pixels of each tile, and the slopes."""
     if only_introduces(frame):
         return 0
-    job = words_on_stack(_JOB_WORDS)
-    tiles = write_images(frame, job)
-    note_results(frame, 0, 2, job, _SUMS)
-    set_word(job, _MEANS, 4)
-    return finish(frame, share(frame, address_of("rasterizer_compare_tiles"), job, tiles))
+    return finish(frame, share(frame, compare_tile, frame, count_tiles(*shape_of(frame))))
 
 
 @handler
@@ -263,9 +251,4 @@ def ssim_gradient(frame):
     """(image, target, mask, slopes, cotangent of the sum) -> the gradient to the image."""
     if only_introduces(frame):
         return 0
-    job = words_on_stack(_JOB_WORDS)
-    tiles = write_images(frame, job)
-    note_arguments(frame, 3, 2, job, _SLOPES)
-    note_results(frame, 0, 1, job, _GRADIENT)
-    set_word(job, _MEANS, 3)
-    return finish(frame, share(frame, address_of("rasterizer_differentiate_tiles"), job, tiles))
+    return finish(frame, share(frame, differentiate_tile, frame, count_tiles(*shape_of(frame))))

@@ -5,45 +5,35 @@ import numpy as np
 from rasterizer._native.blending import ZERO
 from rasterizer._native.calls import (
     argument,
+    argument_rows,
     count_arguments,
-    do_rows,
+    data,
     finish,
     flags,
-    floats_of,
-    note_arguments,
-    note_results,
+    floats,
     only_introduces,
     result,
-    rows_of,
+    result_rows,
     set_word,
-    share,
+    share_rows,
     size,
     word,
 )
-from rasterizer._native.compiled import handler, inlined, task
-from rasterizer._native.instructions import address_of, words_on_stack
+from rasterizer._native.compiled import handler, inlined
+from rasterizer._native.instructions import as_floats, floats_at, words_on_stack
 
 BLOCK = 1 << 14  # numbers that a thread takes at a time
-# Of a job: how many numbers there are; addresses of the parameters, gradients, moments and numbers of
-# `rasterizer.adam`; whether a gradient is not finite.
-_COUNT, _PARAMETERS, _GRADIENTS, _MU, _NU, _NUMBERS, _IS_BAD = range(7)
-_JOB_WORDS = 7
+_NUMBERS, _IS_BAD = 0, 1  # of the job of `all_finite`: an address, and whether one of the numbers is not finite
 
 
 @inlined
-def check(job, begin, count):
+def check(job, first, count):
     """Notes a NaN or an infinity among so many numbers: zero times such a number is NaN, and any other is zero."""
-    numbers, total = rows_of(job, _GRADIENTS, begin, 1), ZERO
+    numbers, total = floats_at(as_floats(word(job, _NUMBERS)), first), ZERO
     for i in range(count):
         total += numbers[i] * ZERO
     if total != ZERO:
         set_word(job, _IS_BAD, 1)
-
-
-@task
-def check_blocks(shared):
-    """Checks blocks until none is left."""
-    do_rows(shared, _COUNT, BLOCK, BLOCK, check)
 
 
 @handler
@@ -51,25 +41,24 @@ def all_finite(frame):
     """Any number of arrays -> whether no number of theirs is NaN or infinite."""
     if only_introduces(frame):
         return 0
-    job, has_memory = words_on_stack(_JOB_WORDS), True
+    job, has_memory = words_on_stack(2), True
     set_word(job, _IS_BAD, 0)
     for place in range(count_arguments(frame)):
         count = size(argument(frame, place))
-        set_word(job, _COUNT, count)
-        note_arguments(frame, place, 1, job, _GRADIENTS)
+        set_word(job, _NUMBERS, data(argument(frame, place)))
         if count <= BLOCK:
             check(job, 0, count)
-        elif not share(frame, address_of("rasterizer_check_blocks"), job, (count + BLOCK - 1) // BLOCK):
+        elif not share_rows(frame, check, job, count, BLOCK, BLOCK):
             has_memory = False
     flags(result(frame, 0))[0] = word(job, _IS_BAD) == 0
     return finish(frame, has_memory)
 
 
 @inlined
-def update(job, begin, count):
+def update(frame, first, count):
     """Updates so many numbers."""
-    parameters, gradients = rows_of(job, _PARAMETERS, begin, 1), rows_of(job, _GRADIENTS, begin, 1)
-    mu, nu, numbers = rows_of(job, _MU, begin, 1), rows_of(job, _NU, begin, 1), floats_of(job, _NUMBERS)
+    parameters, gradients = result_rows(frame, 0, first, 1), argument_rows(frame, 1, first, 1)
+    mu, nu, numbers = result_rows(frame, 1, first, 1), result_rows(frame, 2, first, 1), floats(argument(frame, 4))
     rate, b1, new_share_1, b2, new_share_2 = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     correction_1, correction_2, eps = numbers[5], numbers[6], numbers[7]
     for i in range(count):
@@ -80,12 +69,6 @@ def update(job, begin, count):
         parameters[i] -= rate * ((m / correction_1) / (np.sqrt(v / correction_2) + eps))
 
 
-@task
-def update_blocks(shared):
-    """Updates blocks until none is left."""
-    do_rows(shared, _COUNT, BLOCK, BLOCK, update)
-
-
 @handler
 def adam(frame):
     """(parameters, gradients, mu, nu, numbers, skipped) -> the first, third and fourth, in their places."""
@@ -93,11 +76,4 @@ def adam(frame):
         return 0
     if flags(argument(frame, 5))[0]:
         return 0
-    job, count = words_on_stack(_JOB_WORDS), size(argument(frame, 0))
-    blocks = (count + BLOCK - 1) // BLOCK
-    set_word(job, _COUNT, count)
-    note_results(frame, 0, 1, job, _PARAMETERS)
-    note_arguments(frame, 1, 1, job, _GRADIENTS)
-    note_results(frame, 1, 2, job, _MU)
-    note_arguments(frame, 4, 1, job, _NUMBERS)
-    return finish(frame, share(frame, address_of("rasterizer_update_blocks"), job, blocks))
+    return finish(frame, share_rows(frame, update, frame, size(argument(frame, 0)), BLOCK, BLOCK))
