@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from rasterizer.arrays import takes_arrays, whole_number
 from rasterizer.devices import default_device
 from rasterizer.engines import Backend, load_loops, native_loops
-from rasterizer.tracing import reverse_only, vary_alike, without_axes
+from rasterizer.tracing import reverse_only, vary_alike
 
 DC = 0.28209479177387814  # The basis function of degree 0, 1 / sqrt(4 pi).
 
@@ -192,12 +192,12 @@ def spherical_harmonics_l1_plus(
 
 @jax.custom_vjp
 def _in_loops(dirs: Array, coeffs: Array, weights: Array) -> Array:
-    return without_axes(load_loops().upper_bands, dirs, coeffs, weights)
+    return load_loops().call("upper_bands", dirs, dirs, coeffs, weights)
 
 
 def _in_loops_bwd(residuals, cotangents: Array):
     dirs, coeffs, weights = residuals
-    gradients = without_axes(load_loops().upper_bands_gradient, dirs, coeffs, weights, cotangents)
+    gradients = load_loops().call("upper_bands_gradient", (dirs, coeffs), dirs, coeffs, weights, cotangents)
     # XLA leaves this out where no gradient to the weights is used.
     of_weights = jax.vjp(lambda weights: _in_jnp(dirs, coeffs, weights), weights)[1]
     return *gradients, *of_weights(cotangents)

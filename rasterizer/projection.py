@@ -13,7 +13,7 @@ from rasterizer.camera_models import CAMERA_MODELS, CameraModelName
 from rasterizer.engines import Backend, load_loops, native_loops
 from rasterizer.ewa import DepthMode, Options, Projection, RasterizeMode, project_in_jnp
 from rasterizer.rules import GSPLAT, Rules
-from rasterizer.tracing import reverse_only, vary_alike, without_axes
+from rasterizer.tracing import reverse_only, vary_alike
 
 
 def require_shape(quats: Array | None, scales: Array | None, covars: Array | None) -> None:
@@ -114,16 +114,20 @@ def _numbers(options: Options) -> Array:
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _in_loops(options: Options, *arrays: Array) -> Projection:
     with_factors, with_slopes = options.rasterize_mode == "antialiased", options.depth_mode == "plane"
-    projection = without_axes(partial(load_loops().project, with_factors, with_slopes), *arrays, _numbers(options))
-    factors, slopes = projection.compensations, projection.slopes
-    return projection._replace(compensations=factors if with_factors else None, slopes=slopes if with_slopes else None)
+    pair, one, three = ((arrays[4].shape[0], arrays[0].shape[0], *width) for width in ((2,), (), (3,)))
+    shapes = pair, one, three, one if with_factors else (0,), pair if with_slopes else (0,), pair
+    results = [*(jax.ShapeDtypeStruct(shape, np.float32) for shape in shapes), jax.ShapeDtypeStruct(one, bool)]
+    written = load_loops().call("project", results, *arrays, _numbers(options))
+    means2d, depths, conics, factors, slopes, extents, visible = written
+    factors, slopes = factors if with_factors else None, slopes if with_slopes else None
+    return Projection(means2d, depths, conics, extents, visible, factors, slopes)
 
 
 def _in_loops_bwd(options: Options, arrays: tuple[Array, ...], cotangents: Projection):
     *gaussians, viewmats, Ks = arrays
     parts = cotangents.means2d, cotangents.depths, cotangents.conics, cotangents.compensations, cotangents.slopes
     parts = [jnp.zeros(0, jnp.float32) if part is None else part for part in parts]
-    gradients = without_axes(load_loops().project_gradient, *arrays, _numbers(options), *parts)
+    gradients = load_loops().call("project_gradient", arrays[:3], *arrays, _numbers(options), *parts)
     # XLA leaves this out where no gradient to the cameras is used.
     of_cameras = jax.vjp(lambda *cameras: project_in_jnp(options, *gaussians, *cameras), viewmats, Ks)[1]
     return *gradients, jnp.zeros_like(gaussians[3]), *of_cameras(cotangents)

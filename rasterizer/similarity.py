@@ -14,7 +14,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from rasterizer.engines import Backend, load_loops, native_loops
-from rasterizer.tracing import vary_alike, without_axes
+from rasterizer.tracing import vary_alike
 
 WINDOW_RADIUS = 5  # 11 taps
 WINDOW_SIGMA = 1.5  # pixels
@@ -125,7 +125,7 @@ def _masked(image: Array, target: Array, mask: Array | None) -> tuple[Array, Arr
 @jax.custom_vjp
 def _compare(image: Array, target: Array, mask: Array) -> tuple[Array, Array]:
     """`[]` sum over the valid pixels and all channels, and `[3, H, W, C]` what `_gradient` reads."""
-    return without_axes(load_loops().ssim, image, target, mask)
+    return load_loops().ssim(image, target, mask)
 
 
 def _compare_fwd(image: Array, target: Array, mask: Array):
@@ -148,7 +148,7 @@ _compare.defvjp(_compare_fwd, _compare_bwd)
 @jax.custom_vjp
 def _gradient(image: Array, target: Array, mask: Array, slopes: Array, cotangent: Array) -> Array:
     """`[H, W, C]` gradient of `_compare` to the image."""
-    return without_axes(load_loops().ssim_gradient, image, target, mask, slopes, cotangent)
+    return load_loops().call("ssim_gradient", image, image, target, mask, slopes, cotangent)
 
 
 def _gradient_fwd(image: Array, target: Array, mask: Array, slopes: Array, cotangent: Array):

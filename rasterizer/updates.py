@@ -29,7 +29,7 @@ def all_finite(tree: Any, *, backend: Backend = "auto") -> Bool[Array, ""]:
     in_loops = [leaf for leaf in leaves if loops and leaf.dtype == jnp.float32]
     others = [jnp.all(jnp.isfinite(leaf)) for leaf in leaves if not loops or leaf.dtype != jnp.float32]
     if loops and in_loops:
-        others.append(loops.all_finite(*in_loops))
+        others.append(loops.call("all_finite", jax.ShapeDtypeStruct((), bool), *in_loops))
     return jnp.all(jnp.stack(others)) if others else jnp.bool_(True)
 
 
@@ -70,7 +70,9 @@ def adam(
     loops = native_loops(backend)
     if loops and parameters.dtype == jnp.float32:
         packed = jnp.stack([jnp.asarray(number, jnp.float32) for number in numbers])
-        parameters, *moved = loops.adam(parameters, gradients, *moments, packed, skipped)
+        arguments = parameters, gradients, *moments, packed, skipped
+        in_place = {0: 0, 2: 1, 3: 2}
+        parameters, *moved = loops.call("adam", [parameters] * 3, *arguments, input_output_aliases=in_place)
         return parameters, Moments(*moved)
     mu = b1 * moments.mu + (1 - b1) * gradients
     nu = b2 * moments.nu + (1 - b2) * (gradients * gradients)

@@ -9,6 +9,6 @@ Importing this package compiles it all, or loads it; `rasterizer.engines` does s
 from rasterizer._native.compiled import disk_cache
 
 with disk_cache():
-    from rasterizer._native import engine
+    from rasterizer._native import engine, harmonics, lists, passes, projection, similarity, updates
 
-__all__ = ["engine"]
+__all__ = ["engine", "harmonics", "lists", "passes", "projection", "similarity", "updates"]

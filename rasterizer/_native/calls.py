@@ -119,29 +119,9 @@ def result_rows(frame, place, row, width):
 
 
 @inlined
-def floats_of(job, place):
-    """The float32 numbers at an address of a job."""
-    return as_floats(word(job, place))
-
-
-@inlined
 def int32s_of(job, place):
     """The int32 numbers at an address of a job."""
     return as_int32s(word(job, place))
-
-
-@inlined
-def note_arguments(frame, first, count, job, place):
-    """Writes the addresses of so many arguments to a job, from a place on."""
-    for i in range(count):
-        set_word(job, place + i, data(argument(frame, first + i)))
-
-
-@inlined
-def note_results(frame, first, count, job, place):
-    """The same of results."""
-    for i in range(count):
-        set_word(job, place + i, data(result(frame, first + i)))
 
 
 @inlined

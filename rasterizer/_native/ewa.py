@@ -106,6 +106,12 @@ def along(row, columns):
 
 
 @inlined
+def combination(factors, vectors):
+    """The sum of three multiples."""
+    return plus(plus(times(factors[0], vectors[0]), times(factors[1], vectors[1])), times(factors[2], vectors[2]))
+
+
+@inlined
 def gaussian_of(mean, quat, scales):
     """A `Gaussian`. A zero quaternion is the identity."""
     w, x, y, z = quat
@@ -217,18 +223,15 @@ def covariance_gradient(view, lens, conic, to_det, to_sharp):
 def axes_gradient(g, view, lens, to_x, to_y, to_z):
     """Given that to the rows along the scaled axes, the gradients to the axes, the scales and the two rows."""
     row_x, row_y = view.rows
-    row_z = lens.rotation[2]
-    to_scales = products(to_x, along(row_x, g.axes))
-    to_scales = plus(to_scales, products(to_y, along(row_y, g.axes)))
-    to_scales = plus(to_scales, products(to_z, along(row_z, g.axes)))
+    rows = row_x, row_y, lens.rotation[2]
+    to_scales = products(to_x, along(rows[0], g.axes))
+    to_scales = plus(to_scales, products(to_y, along(rows[1], g.axes)))
+    to_scales = plus(to_scales, products(to_z, along(rows[2], g.axes)))
     to_x, to_y, to_z = products(to_x, g.scales), products(to_y, g.scales), products(to_z, g.scales)
-    first = plus(plus(times(to_x[0], row_x), times(to_y[0], row_y)), times(to_z[0], row_z))
-    second = plus(plus(times(to_x[1], row_x), times(to_y[1], row_y)), times(to_z[1], row_z))
-    third = plus(plus(times(to_x[2], row_x), times(to_y[2], row_y)), times(to_z[2], row_z))
-    a, b, c = g.axes
-    to_row_x = plus(plus(times(to_x[0], a), times(to_x[1], b)), times(to_x[2], c))
-    to_row_y = plus(plus(times(to_y[0], a), times(to_y[1], b)), times(to_y[2], c))
-    return (first, second, third), to_scales, to_row_x, to_row_y
+    first = combination((to_x[0], to_y[0], to_z[0]), rows)
+    second = combination((to_x[1], to_y[1], to_z[1]), rows)
+    third = combination((to_x[2], to_y[2], to_z[2]), rows)
+    return (first, second, third), to_scales, combination(to_x, g.axes), combination(to_y, g.axes)
 
 
 @inlined
@@ -241,13 +244,8 @@ def quat_gradient(g, to_axes):
     to_y = TWO * (x * (b0 + a1) + z * (c1 + b2) + w * (c0 - a2) - TWO * y * (a0 + c2))
     to_z = TWO * (x * (c0 + a2) + y * (c1 + b2) + w * (a1 - b0) - TWO * z * (a0 + b1))
     radial = to_w * w + to_x * x + to_y * y + to_z * z
-    inverse = g.inverse
-    return (
-        inverse * (to_w - radial * w),
-        inverse * (to_x - radial * x),
-        inverse * (to_y - radial * y),
-        inverse * (to_z - radial * z),
-    )
+    to_x, to_y, to_z = times(g.inverse, plus((to_x, to_y, to_z), times(-radial, (x, y, z))))
+    return g.inverse * (to_w - radial * w), to_x, to_y, to_z
 
 
 @inlined
@@ -264,9 +262,4 @@ def mean_gradient(view, lens, center, depth, to_row_x, to_row_y):
     to_ratio_x = center[0] * lens.focal[0] - where(ratio_x == slope_x, zoom_x * dot(to_row_x, turn[2]), ZERO)
     to_ratio_y = center[1] * lens.focal[1] - where(ratio_y == slope_y, zoom_y * dot(to_row_y, turn[2]), ZERO)
     to_depth = depth - inverse * (to_zoom_x * zoom_x + to_zoom_y * zoom_y + to_ratio_x * ratio_x + to_ratio_y * ratio_y)
-    to_point = to_ratio_x * inverse, to_ratio_y * inverse, to_depth
-    return (
-        turn[0][0] * to_point[0] + turn[1][0] * to_point[1] + turn[2][0] * to_point[2],
-        turn[0][1] * to_point[0] + turn[1][1] * to_point[1] + turn[2][1] * to_point[2],
-        turn[0][2] * to_point[0] + turn[1][2] * to_point[1] + turn[2][2] * to_point[2],
-    )
+    return combination((to_ratio_x * inverse, to_ratio_y * inverse, to_depth), turn)

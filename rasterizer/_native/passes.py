@@ -16,12 +16,12 @@ from rasterizer._native.calls import (
     allocate,
     argument,
     count_arguments,
+    data,
     finish,
-    floats_of,
+    floats,
+    int32s,
     int32s_of,
     length,
-    note_arguments,
-    note_results,
     only_introduces,
     release,
     result,
@@ -54,11 +54,9 @@ BANDS = 6  # How many are best depends little on the scene; no more threads than
 AHEAD = 16  # splats: memory answers about so many later
 CHUNKS = 16  # Of rows, whose gradients are added together.
 LISTED = 8  # arguments of `lists`
-# Of a job: whether memory was lacking; addresses of the numbers of arguments and results; how many rows, numbers of a
-# row and tiles there are; then two words a band: where its splats' sums are, and these.
-_LACKED, _SIZES, _RULES = range(3)
-_ROWS, _SPLATS, _OFFSETS, _FEATURES, _LIGHT, _LAST, _MEDIAN, _D_FEATURES, _D_LIGHT, _D_ROWS = range(3, 13)
-_COUNT, _GIVEN, _TILES, _BANDS = range(13, 17)
+# Of a job: its frame, how many arguments are of lists, how many tiles there are, whether memory was lacking; where the
+# lists and their offsets are; then two words a band: where its splats' sums are, and these.
+_FRAME, _LISTED, _TILES, _LACKED, _SPLATS, _OFFSETS, _BANDS = range(7)
 _JOB_WORDS = _BANDS + 2 * BANDS
 # Of `sizes`: tiles along a row, tiles of a camera, side of a tile in pixels, channels that end in front, whether the
 # median is computed, probes.
@@ -66,9 +64,30 @@ _ACROSS, _OF_CAMERA, _SIDE, _IN_FRONT, _WITH_MEDIAN, _PROBES = range(6)
 
 
 @inlined
-def thresholds(numbers):
-    """The rules, as XLA hands them over."""
+def rows_of(job):
+    """The record of the rows."""
+    return argument(word(job, _FRAME), 0)
+
+
+@inlined
+def sizes_of(job):
+    """The whole numbers, see `_ACROSS`."""
+    frame = word(job, _FRAME)
+    return int32s(argument(frame, count_arguments(frame) - 2))
+
+
+@inlined
+def thresholds_of(job):
+    """The rules."""
+    frame = word(job, _FRAME)
+    numbers = floats(argument(frame, count_arguments(frame) - 1))
     return Thresholds(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4])
+
+
+@inlined
+def given(job, place):
+    """The record of an argument of the way back, from those behind the lists on."""
+    return argument(word(job, _FRAME), word(job, _LISTED) + 1 + place)
 
 
 @inlined
@@ -99,15 +118,15 @@ def gather(job, from_tile, to_tile):
         Addresses of int32 where each splat's copy is (-1 for none), of the tiles' lists in terms of copies, and of the
         copies; and how many these are, -1 where memory was lacking.
     """
-    rows, offsets = floats_of(job, _ROWS), int32s_of(job, _OFFSETS)
-    count, on, in_front, width, _ = shape_of(job)
-    through, row_size, copies = max(on, THREE), word(job, _GIVEN), 0
+    rows, offsets = floats(rows_of(job)), int32s_of(job, _OFFSETS)
+    count, row_size, on, in_front, width, _ = shape_of(job)
+    through, copies = max(on, THREE), 0
     start, pairs = np.int64(offsets[from_tile]), np.int64(offsets[to_tile]) - offsets[from_tile]
     at_places, at_ids, at_near = allocate(4 * count), allocate(4 * pairs), allocate(4 * min(pairs, count) * width)
     if at_places == 0 or at_ids == 0 or at_near == 0:
         set_word(job, _LACKED, 1)
         return at_places, at_ids, at_near, -1
-    splats, alpha_min = int32s_at(int32s_of(job, _SPLATS), start), floats_of(job, _RULES)[1]
+    splats, alpha_min = int32s_at(int32s_of(job, _SPLATS), start), thresholds_of(job).alpha_min
     places, ids, near = as_int32s(at_places), as_int32s(at_ids), as_floats(at_near)
     for splat in range(count):
         places[splat] = -1
@@ -136,26 +155,26 @@ def gather(job, from_tile, to_tile):
 
 @inlined
 def shape_of(job):
-    """Splats, channels blended to the end, channels that end in front, numbers of a copied row, and side of a tile."""
-    sizes, row_size = int32s_of(job, _SIZES), word(job, _GIVEN)
-    in_front = np.int64(sizes[_IN_FRONT])
+    """Splats, numbers of a row, channels blended to the end, those that end in front, numbers of a copy, tile side."""
+    rows, sizes = rows_of(job), sizes_of(job)
+    row_size, in_front = length(rows, 1), np.int64(sizes[_IN_FRONT])
     on = row_size - GEOMETRY - in_front
-    return word(job, _COUNT), on, in_front, CHANNELS + max(on, THREE) + in_front, np.int64(sizes[_SIDE])
+    return length(rows, 0), row_size, on, in_front, CHANNELS + max(on, THREE) + in_front, np.int64(sizes[_SIDE])
 
 
 @inlined
 def probes_of(job):
     """Channels of zeros that have a gradient; rows and images have no number of them."""
-    return np.int64(int32s_of(job, _SIZES)[_PROBES])
+    return np.int64(sizes_of(job)[_PROBES])
 
 
 @inlined
 def blend_band(job, band):
     """Blends the tiles of a band."""
-    offsets, sizes, rules = int32s_of(job, _OFFSETS), int32s_of(job, _SIZES), floats_of(job, _RULES)
-    features, light = floats_of(job, _FEATURES), floats_of(job, _LIGHT)
-    last, median = int32s_of(job, _LAST), int32s_of(job, _MEDIAN)
-    _, on, in_front, _, side = shape_of(job)
+    frame, offsets, sizes, rules = word(job, _FRAME), int32s_of(job, _OFFSETS), sizes_of(job), thresholds_of(job)
+    features, light = floats(result(frame, 0)), floats(result(frame, 1))
+    last, median = int32s(result(frame, 2)), int32s(result(frame, 3))
+    _, _, on, in_front, _, side = shape_of(job)
     tiles, pixels = word(job, _TILES), side * side
 
     from_tile, to_tile = first_tile(offsets, tiles, band), first_tile(offsets, tiles, band + 1)
@@ -166,7 +185,7 @@ def blend_band(job, band):
             x, y = tile_center(tile, sizes)
             blend_tile(
                 near, int32s_at(ids, offsets[tile] - start), offsets[tile + 1] - offsets[tile], x, y, side, on,
-                in_front, sizes[_WITH_MEDIAN] != 0, thresholds(rules),
+                in_front, sizes[_WITH_MEDIAN] != 0, rules,
                 floats_at(features, tile * (on + in_front) * pixels), floats_at(light, tile * pixels),
                 int32s_at(last, tile * pixels), int32s_at(median, tile * pixels),
             )  # fmt: skip
@@ -178,10 +197,10 @@ def blend_band(job, band):
 @inlined
 def unblend_band(job, band):
     """Sums, of every splat that a band's tiles show, the moments of dL/dsigma and the gradients to channels."""
-    offsets, sizes, rules = int32s_of(job, _OFFSETS), int32s_of(job, _SIZES), floats_of(job, _RULES)
-    d_features, d_light = floats_of(job, _D_FEATURES), floats_of(job, _D_LIGHT)
-    light, last = floats_of(job, _LIGHT), int32s_of(job, _LAST)
-    _, on, in_front, width, side = shape_of(job)
+    offsets, sizes, rules = int32s_of(job, _OFFSETS), sizes_of(job), thresholds_of(job)
+    light, last = floats(given(job, 0)), int32s(given(job, 1))
+    d_features, d_light = floats(given(job, 2)), floats(given(job, 3))
+    _, _, on, in_front, width, side = shape_of(job)
     tiles, pixels, probes = word(job, _TILES), side * side, probes_of(job)
 
     from_tile, to_tile = first_tile(offsets, tiles, band), first_tile(offsets, tiles, band + 1)
@@ -197,7 +216,7 @@ def unblend_band(job, band):
             for tile in range(from_tile, to_tile):
                 x, y = tile_center(tile, sizes)
                 unblend_tile(
-                    near, int32s_at(ids, offsets[tile] - start), x, y, side, on, in_front, probes, thresholds(rules),
+                    near, int32s_at(ids, offsets[tile] - start), x, y, side, on, in_front, probes, rules,
                     floats_at(light, tile * pixels), int32s_at(last, tile * pixels),
                     floats_at(d_features, tile * (on + in_front + probes) * pixels),
                     floats_at(d_light, tile * pixels), sums,
@@ -212,8 +231,8 @@ def unblend_band(job, band):
 @inlined
 def add_chunk(job, chunk):
     """Adds what the bands summed for some of the rows, and applies the chain rule of `compositing.chain_to_rows`."""
-    rows, d_rows, row_size = floats_of(job, _ROWS), floats_of(job, _D_ROWS), word(job, _GIVEN)
-    count, on, in_front, width, _ = shape_of(job)
+    rows, d_rows = floats(rows_of(job)), floats(result(word(job, _FRAME), 0))
+    count, row_size, on, in_front, width, _ = shape_of(job)
     through, probes = max(on, THREE), probes_of(job)
     for splat in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
         row, total = floats_at(rows, splat * row_size), floats_at(d_rows, splat * (row_size + probes))
@@ -240,27 +259,25 @@ def add_chunk(job, chunk):
 
 @inlined
 def begin(job, lists_job, frame, listed, tiles):
-    """Writes what both passes read, and lists the splats where the caller gave no lists. Whether there was memory.
+    """Writes a job, and lists the splats where the caller gave no lists. Whether there was memory.
 
     A frame has rows, `listed` arguments (the lists or the arguments of `lists`), the pass's own, sizes and rules.
     """
     for place in range(_JOB_WORDS):
         set_word(job, place, 0)
-    note_arguments(frame, count_arguments(frame) - 2, 2, job, _SIZES)
-    note_arguments(frame, 0, 1, job, _ROWS)
-    set_words(job, _COUNT, length(argument(frame, 0), 0), length(argument(frame, 0), 1), tiles)
+    set_words(job, _FRAME, frame, listed, tiles)
     if listed == LISTED:
         done = list_splats(lists_job, frame, word(frame, ARGUMENTS) + 8, tiles, 0, 0, 0)
         set_words(job, _SPLATS, word(lists_job, SPLATS), word(lists_job, OFFSETS))
         return done
-    note_arguments(frame, 1, 2, job, _SPLATS)
+    set_words(job, _SPLATS, data(argument(frame, 1)), data(argument(frame, 2)))
     return True
 
 
 @inlined
-def end(job, listed):
+def end(job):
     """Gives back the memory of the lists that `begin` made, and of the bands' sums."""
-    if listed == LISTED:
+    if word(job, _LISTED) == LISTED:
         release(word(job, _SPLATS))
         release(word(job, _OFFSETS))
     for place in range(_BANDS, _JOB_WORDS):
@@ -268,9 +285,9 @@ def end(job, listed):
 
 
 @inlined
-def name_medians(job, pixels):
+def name_medians(job, medians, pixels):
     """Turns places in the tiles' lists into the splats that are listed there."""
-    medians, splats, offsets = int32s_of(job, _MEDIAN), int32s_of(job, _SPLATS), int32s_of(job, _OFFSETS)
+    splats, offsets = int32s_of(job, _SPLATS), int32s_of(job, _OFFSETS)
     for tile in range(word(job, _TILES)):
         for p in range(tile * pixels, (tile + 1) * pixels):
             if medians[p] >= 0:
@@ -282,14 +299,12 @@ def forward(frame):
     """(rows, *lists, sizes, rules) -> features, light, last, median; see `compositing.Engine`."""
     if only_introduces(frame):
         return 0
-    job, lists_job, listed = words_on_stack(_JOB_WORDS), words_on_stack(LIST_WORDS), count_arguments(frame) - 3
-    done = begin(job, lists_job, frame, listed, length(result(frame, 1), 0))
+    job, lists_job, light = words_on_stack(_JOB_WORDS), words_on_stack(LIST_WORDS), result(frame, 1)
+    done = begin(job, lists_job, frame, count_arguments(frame) - 3, length(light, 0))
+    done = done and share(frame, blend_band, job, BANDS) and word(job, _LACKED) == 0
     if done:
-        note_results(frame, 0, 4, job, _FEATURES)
-        done = share(frame, blend_band, job, BANDS) and word(job, _LACKED) == 0
-    if done:
-        name_medians(job, length(result(frame, 1), 1))
-    end(job, listed)
+        name_medians(job, int32s(result(frame, 3)), length(light, 1))
+    end(job)
     return finish(frame, done)
 
 
@@ -300,11 +315,7 @@ def backward(frame):
         return 0
     job, lists_job, listed = words_on_stack(_JOB_WORDS), words_on_stack(LIST_WORDS), count_arguments(frame) - 7
     done = begin(job, lists_job, frame, listed, length(argument(frame, listed + 1), 0))
-    if done:
-        note_arguments(frame, listed + 1, 2, job, _LIGHT)
-        note_arguments(frame, listed + 3, 2, job, _D_FEATURES)
-        note_results(frame, 0, 1, job, _D_ROWS)
-        done = share(frame, unblend_band, job, BANDS) and word(job, _LACKED) == 0
-        done = done and share(frame, add_chunk, job, CHUNKS)
-    end(job, listed)
+    done = done and share(frame, unblend_band, job, BANDS) and word(job, _LACKED) == 0
+    done = done and share(frame, add_chunk, job, CHUNKS)
+    end(job)
     return finish(frame, done)

@@ -124,58 +124,29 @@ def where(builder, mask, one, other):
     return builder.select(mask, one, other)
 
 
-def _extreme(builder, symbol, one, other):
-    # Neither is NaN where the result is used. Without this promise LLVM makes a masked store of a store of the result,
-    # with which a forward pass takes 1.3 to 1.7 times as long under AVX2.
-    flags = ("nnan", "nsz")
-    return builder.select(builder.fcmp_ordered(symbol, one, other, flags=flags), one, other, flags=flags)
+def _choice(symbol: str, *flags: str) -> Any:
+    def choose(builder, one, other):
+        return builder.select(builder.fcmp_ordered(symbol, one, other, flags=flags), one, other, flags=flags)
+
+    return _compiles_to(FLOATS, FLOATS, FLOATS)(choose)
 
 
-@_compiles_to(FLOATS, FLOATS, FLOATS)
-def minimum(builder, one, other):
-    """Return the smaller of two numbers, neither of which is NaN."""
-    return _extreme(builder, "<", one, other)
+# The smaller or larger of two numbers, neither of which is NaN where the result is used. Without this promise LLVM
+# makes a masked store of a store of the result, with which a forward pass takes 1.3 to 1.7 times as long under AVX2.
+minimum, maximum = (_choice(symbol, "nnan", "nsz") for symbol in "<>")
+smaller, larger = map(_choice, "<>")  # The same, and the second where either is NaN.
 
 
-@_compiles_to(FLOATS, FLOATS, FLOATS)
-def maximum(builder, one, other):
-    """Return the larger of two numbers, neither of which is NaN."""
-    return _extreme(builder, ">", one, other)
-
-
-@_compiles_to(FLOATS, FLOATS, FLOATS)
-def larger(builder, one, other):
-    """Return the larger of two numbers; the second where either is NaN."""
-    return builder.select(builder.fcmp_ordered(">", one, other), one, other)
-
-
-@_compiles_to(FLOATS, FLOATS, FLOATS)
-def smaller(builder, one, other):
-    """Return the smaller of two numbers; the second where either is NaN."""
-    return builder.select(builder.fcmp_ordered("<", one, other), one, other)
-
-
-def _call(builder, name, value):
+def _function(name: str) -> Any:
     kind = ir.FunctionType(FLOATS.vector, [FLOATS.vector])
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32"), [value])
+
+    def emit(builder, value):
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32"), [value])
+
+    return _compiles_to(FLOATS, FLOATS)(emit)
 
 
-@_compiles_to(FLOATS, FLOATS)
-def floor(builder, value):
-    """Return the largest whole number that is not above."""
-    return _call(builder, "floor", value)
-
-
-@_compiles_to(FLOATS, FLOATS)
-def absolute(builder, value):
-    """Return the absolute value."""
-    return _call(builder, "fabs", value)
-
-
-@_compiles_to(FLOATS, FLOATS)
-def square_root(builder, value):
-    """Return the square root."""
-    return _call(builder, "sqrt", value)
+floor, absolute, square_root = map(_function, ("floor", "fabs", "sqrt"))
 
 
 @_compiles_to(FLOATS, FLOATS, FLOATS)
