@@ -17,7 +17,16 @@ from jax import Array
 from jax.experimental import pallas as pl
 
 from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma, unblend_splat
-from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis, splats_at
+from rasterizer.compositing import (
+    Blended,
+    Engine,
+    Static,
+    chain_to_rows,
+    moment_basis,
+    pixel_centers,
+    splats_at,
+    tile_centers,
+)
 from rasterizer.tracing import result
 
 CHUNK = 16  # Splats between two looks at whether every pixel has stopped: the look is a reduction over the program.
@@ -37,23 +46,6 @@ def _segments(offsets: Array, capacity: int, size: int) -> tuple[Array, Array]:
     tiles = jnp.arange(pieces.shape[0], dtype=jnp.int32)
     most = pieces.shape[0] + capacity // size
     return jnp.repeat(tiles, pieces, total_repeat_length=most), jnp.cumsum(pieces, dtype=jnp.int32) - pieces
-
-
-def _pixels(static: Static) -> tuple[Array, Array]:
-    """`compositing.pixel_centers`, computed inside the kernel: a kernel holds no constant arrays."""
-    size = static.grid.tile_size
-    index = jnp.arange(size * size, dtype=jnp.int32)
-    middle = size / 2 - 0.5
-    return (index % size).astype(jnp.float32) - middle, (index // size).astype(jnp.float32) - middle
-
-
-def _center(tile: Array, static: Static) -> tuple[Array, Array]:
-    """`compositing.tile_centers` of one tile, in scalars."""
-    grid = static.grid
-    within = tile % (grid.tiles_x * grid.tiles_y)
-    x, y = within % grid.tiles_x, within // grid.tiles_x
-    return ((x * grid.tile_size).astype(jnp.float32) + grid.tile_size / 2,
-            (y * grid.tile_size).astype(jnp.float32) + grid.tile_size / 2)  # fmt: skip
 
 
 def _offsets(rows, splat, pixels, center) -> tuple[Array, Array]:
@@ -86,7 +78,7 @@ def _forward_kernel(
 ):
     tile = order[program]
     start, end, first_segment = offsets[tile], offsets[tile + 1], first_segments[tile]
-    pixels, center = _pixels(static), _center(tile, static)
+    pixels, center = pixel_centers(static.grid, jnp.arange), tile_centers(tile, static.grid)
     channels, front = features.shape[1], static.front
     first_in_front = channels - (front.channels if front else 0)
     blank = jnp.zeros_like(pixels[0])
@@ -161,9 +153,9 @@ def _backward_kernel(
     *crossings, gradients = others
     tile = tiles[segment]
     start, first_segment = offsets[tile], first_segments[tile]
-    pixels, center = _pixels(static), _center(tile, static)
+    pixels, center = pixel_centers(static.grid, jnp.arange), tile_centers(tile, static.grid)
     last = last_index[tile, :]
-    channels, front = d_features.shape[1], static.front
+    channels, front = d_features.shape[1] - static.probes, static.front
     first_in_front = channels - (front.channels if front else 0)
     count = jnp.max(last) + 1
     begin = (segment - first_segment) * segment_size
@@ -190,8 +182,8 @@ def _backward_kernel(
         for column, power in enumerate(moment_basis(dx, dy)):
             gradients[start + k, column] = jnp.sum(d_sigma * power)
         counted_in_front = front_weight(t, weight, front.stop_after) if front else weight
-        for c in range(channels):
-            counted = weight if c < first_in_front else counted_in_front
+        for c in range(channels + static.probes):
+            counted = counted_in_front if first_in_front <= c < channels else weight
             gradients[start + k, 6 + c] = jnp.sum(counted * d_features[tile, c, :])
         return t, behind
 
@@ -281,7 +273,7 @@ def _backward(
 ) -> Array:
     splats, offsets = lists
     # The kernel writes the pairs that a pixel shows; the others keep their zeros.
-    zeros = jnp.zeros((splats.shape[0], rows.shape[1]), jnp.float32)
+    zeros = jnp.zeros((splats.shape[0], rows.shape[1] + static.probes), jnp.float32)
     arguments = rows, splats, offsets, t, last, d_features, d_t, *residuals
     kernel = partial(_backward_kernel, static=static, segment_size=segment_size)
     shape = result(zeros.shape, zeros.dtype)

@@ -60,8 +60,8 @@ def _forward(static: Static, rows: Array, lists: tuple[Array, Array]) -> Blended
             block = rows[splats[start[:, None] + (jnp.arange(UNROLL, dtype=jnp.int32) + k)[None]]]
             for u in range(UNROLL):
                 row = block[:, u]
-                dx = (row[:, 0] - center[:, 0])[:, None] - pixel_x[None]
-                dy = (row[:, 1] - center[:, 1])[:, None] - pixel_y[None]
+                dx = (row[:, 0] - center[0])[:, None] - pixel_x[None]
+                dy = (row[:, 1] - center[1])[:, None] - pixel_y[None]
                 sigma = splat_sigma(dx, dy, row[:, 2:3], row[:, 3:4], row[:, 4:5])
                 opacity = jnp.where(k + u < count, row[:, 5], 0)
                 alpha = cut_alpha(opacity[:, None] * jnp.exp(-sigma), sigma, static.rules)
@@ -102,7 +102,7 @@ class _Pairs(NamedTuple):
     """One splat of each of g tiles, at P pixels, on the way back."""
 
     row: Array  # [g, 6 + D]
-    center: Array  # [g, 2] of the tile, pixels
+    center: tuple[Array, Array]  # [g] x and y of the tile's, pixels
     dx: Array  # [g, P] mean - pixel
     dy: Array
     d_sigma: Array  # [g, P] dL/dsigma
@@ -110,6 +110,7 @@ class _Pairs(NamedTuple):
     t: Array  # [g, P] transmittance in front of it
     d_feature: Array  # [g, c, P] dL/dimage of the channels that go on
     d_front: Array  # [g, c, P] of those that end in front
+    d_probe: Array  # [g, c, P] of the probes
 
 
 def _sum_over_pairs(
@@ -135,15 +136,15 @@ def _sum_over_pairs(
     def group(sums: Array, tiles: Array):
         start, count, center = all_starts[tiles], all_counts[tiles], tile_centers(tiles, static.grid)
         last_index = all_last[tiles]
-        d_feature, d_front = jnp.split(all_df[tiles], [first_in_front], 1)
+        d_feature, d_front, d_probe = jnp.split(all_df[tiles], [first_in_front, channels], 1)
 
         def body(state):
             k, t, behind, sums = state
             live = k < count
             splat = splats[start + k]
             row = rows[splat]
-            dx = (row[:, 0] - center[:, 0])[:, None] - pixel_x[None]
-            dy = (row[:, 1] - center[:, 1])[:, None] - pixel_y[None]
+            dx = (row[:, 0] - center[0])[:, None] - pixel_x[None]
+            dy = (row[:, 1] - center[1])[:, None] - pixel_y[None]
             sigma = splat_sigma(dx, dy, row[:, 2:3], row[:, 3:4], row[:, 4:5])
             unclamped = jnp.where(live, row[:, 5], 0)[:, None] * jnp.exp(-sigma)
             alpha = jnp.where(k <= last_index, cut_alpha(unclamped, sigma, static.rules), 0)
@@ -153,7 +154,7 @@ def _sum_over_pairs(
                 lit_in_front = sum(row[:, 6 + first_in_front + i, None] * d_front[:, i] for i in range(front.channels))
                 in_front = lit_in_front, front.stop_after
             d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules, in_front)
-            of_each = of_pairs(_Pairs(row, center, dx, dy, d_sigma, weight, t, d_feature, d_front))
+            of_each = of_pairs(_Pairs(row, center, dx, dy, d_sigma, weight, t, d_feature, d_front, d_probe))
             sums = sums.at[jnp.where(live, splat, rows.shape[0])].add(of_each, mode="drop")
             return k - 1, t, behind, sums
 
@@ -173,9 +174,11 @@ def _backward(static: Static, rows: Array, *others: Any) -> Array:
         if front:
             counted = front_weight(pairs.t, pairs.weight, front.stop_after)
             d_pair = jnp.concatenate([d_pair, _summed(counted, pairs.d_front)], 1)
+        if static.probes:
+            d_pair = jnp.concatenate([d_pair, _summed(pairs.weight, pairs.d_probe)], 1)
         return chain_to_rows(pairs.row, moments_about_means(pairs.row, pairs.center, moments), d_pair)
 
-    return _sum_over_pairs(gradient, rows.shape[1], static, rows, *others)
+    return _sum_over_pairs(gradient, rows.shape[1] + static.probes, static, rows, *others)
 
 
 def absolute_gradients(static: Static, rows: Array, *others: Any) -> Array:

@@ -13,8 +13,9 @@ from rasterizer import _reference
 from rasterizer.arrays import in_float32, takes_arrays, whole_number
 from rasterizer.binning import TileGrid, count_pairs
 from rasterizer.camera_models import CameraModelName
-from rasterizer.capacity import Shapes, UnknownCountError, choose_capacity
+from rasterizer.capacity import UnknownCountError, count_capacity
 from rasterizer.checks import absgrad_zeros, check_arrays, check_counts, check_lenses, check_mode, maps_over_batches
+from rasterizer.compositing import mask_tiles
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, resolve
 from rasterizer.ewa import DepthMode, Projection, RasterizeMode
 from rasterizer.features import (
@@ -52,11 +53,6 @@ class Arrays(NamedTuple):
     means2d_probe: Array | None
     absgrad: Array | None
 
-    def to_project(self) -> tuple[Shapes, dict[str, Array | None]]:
-        """The arrays that `project` takes by place, and by name."""
-        shapes = self.means, self.quats, self.scales, self.opacities, self.viewmats, self.Ks
-        return shapes, {"covars": self.covars, "radial_coeffs": self.radial_coeffs}
-
 
 @dataclass(frozen=True)
 class Options:
@@ -70,7 +66,7 @@ class Options:
     depth_mode: DepthMode
     return_median_depth: bool
     return_normals: bool
-    projected: tuple[tuple[str, Any], ...]  # camera model, thresholds, filter and backend of the projection
+    projected: tuple[tuple[str, Any], ...]  # the static arguments of `project` but for the depth mode, by name
     rules: Rules
 
 
@@ -97,19 +93,18 @@ def _rasterize(arrays: Arrays, options: Options):
     return image, alphas, Info(named, options.grid)
 
 
+@partial(jax.jit, static_argnames=("grid", "projected"))
+def _splats(arrays: Arrays, grid: TileGrid, projected: tuple[tuple[str, Any], ...]) -> Projection:
+    shapes = arrays.means, arrays.quats, arrays.scales, arrays.opacities, arrays.viewmats, arrays.Ks
+    how = {"covars": arrays.covars, "radial_coeffs": arrays.radial_coeffs, **dict(projected)}
+    return project(*shapes, grid.width, grid.height, **how)
+
+
 def _project(arrays: Arrays, options: Options) -> tuple[Projection, Array]:
     """The splats, and their opacities `[C, N]` as the pixels see them."""
-    shapes, named_arrays = arrays.to_project()
     shows_depth = options.render_mode != "RGB" or options.return_median_depth
-    projection = project(
-        *shapes,
-        options.grid.width,
-        options.grid.height,
-        **named_arrays,
-        **dict(options.projected),
-        depth_mode=options.depth_mode if shows_depth else "center",
-        rules=options.rules,
-    )
+    depth_mode = options.depth_mode if shows_depth else "center"
+    projection = _splats(arrays, options.grid, (*options.projected, ("depth_mode", depth_mode)))
     if arrays.means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + arrays.means2d_probe)
     opacities = jnp.broadcast_to(arrays.opacities, projection.depths.shape)
@@ -139,7 +134,7 @@ def _blend(arrays: Arrays, projection: Projection, opacities: Array, features: A
     grid, rules, masks = options.grid, options.rules, arrays.masks
     if options.backend == "reference":
         dense = _reference.composite(projection, opacities, features, grid.width, grid.height, rules)
-        return *_masked(*dense, masks, grid), {}
+        return *mask_tiles(masks, *dense, grid), {}
     pairs, named = None, {}
     if options.capacity is None:
         named = {"needed": count_pairs(projection, grid), "overflowed": jnp.array(False)}
@@ -153,14 +148,6 @@ def _blend(arrays: Arrays, projection: Projection, opacities: Array, features: A
         colors_end = image.shape[-1] - (1 if projection.slopes is None else 3)
         image = jnp.concatenate([image[..., :colors_end], blended_depth(image[..., colors_end:])], -1)
     return image, left, median, named
-
-
-def _masked(image: Array, left: Array, median: Array, masks: Array | None, grid: TileGrid):
-    if masks is None:
-        return image, left, median
-    pixels = jnp.repeat(jnp.repeat(masks, grid.tile_size, 1), grid.tile_size, 2)[:, : grid.height, : grid.width]
-    is_drawn = pixels[..., None]
-    return jnp.where(is_drawn, image, 0), jnp.where(is_drawn, left, 1), jnp.where(pixels, median, -1)
 
 
 def _behind(backgrounds: Array, num_channels: int, render_mode: RenderMode) -> Array:
@@ -301,12 +288,11 @@ def rasterization(
     if backend != "reference":
         arrays = jax.tree.map(in_float32, arrays)
     projected = {"eps2d": eps2d, "near_plane": near_plane, "far_plane": far_plane, "radius_clip": radius_clip}
-    projected |= {"rasterize_mode": rasterize_mode, "camera_model": camera_model, "backend": backend}
+    projected |= {"rasterize_mode": rasterize_mode, "camera_model": camera_model, "backend": backend, "rules": rules}
     projected = tuple(projected.items())
     if capacity is None and backend != "reference":
         try:
-            shapes, named_arrays = arrays.to_project()
-            capacity = choose_capacity(shapes, named_arrays, grid, projected, rules)
+            capacity = count_capacity(_splats(jax.lax.stop_gradient(arrays), grid, projected), grid)
         except UnknownCountError:
             if zeros is not None or not lists_by_itself(backend):
                 raise

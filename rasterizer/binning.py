@@ -62,6 +62,7 @@ def _total(count: Array) -> Array:
     return jnp.where(fits, jnp.sum(count, dtype=jnp.int32), np.iinfo(np.int32).max)
 
 
+@partial(jax.jit, static_argnames="grid")
 def count_pairs(projection: Projection, grid: TileGrid) -> Int32[Array, ""]:
     """The capacity that `bin_splats` needs for this projection; the largest int32 if more."""
     _, size = _tile_boxes(projection, grid)
@@ -80,10 +81,15 @@ def _order(keys: Array) -> Array:
 
 
 def _order_on_cpu(keys: Array) -> Array:
-    """`_order` by one packed integer key: XLA's CPU sort is 6-10x slower on a pair."""
+    """`_order`, faster."""
+    return _sort_on_cpu(keys, jnp.arange(keys.shape[0], dtype=jnp.int32))[1]
+
+
+def _sort_on_cpu(keys: Array, values: Array) -> tuple[Array, Array]:
+    """Pairs in rising order, by one packed integer key: XLA's CPU sort is 6-10x slower on a pair."""
     with jax.enable_x64(True):
-        packed = (keys.astype(jnp.uint64) << np.uint64(32)) | jnp.arange(keys.shape[0], dtype=jnp.uint64)
-        return (jnp.sort(packed) & np.uint64(0xFFFFFFFF)).astype(jnp.int32)
+        packed = jnp.sort((keys.astype(jnp.uint64) << np.uint64(32)) | values.astype(jnp.uint64))
+        return (packed >> np.uint64(32)).astype(jnp.int32), (packed & np.uint64(0xFFFFFFFF)).astype(jnp.int32)
 
 
 def _lists(tiles: Array, ranks: Array, num_tiles: int) -> tuple[Array, Array]:
@@ -107,16 +113,12 @@ def _lists_on_cpu(tiles: Array, ranks: Array, num_tiles: int) -> tuple[Array, Ar
     """
 
     def sort(tiles, ranks):
-        with jax.enable_x64(True):
-            key = jnp.sort((tiles.astype(jnp.uint64) << np.uint64(32)) | ranks.astype(jnp.uint64))
-            tiles, ranks = (key >> np.uint64(32)).astype(jnp.int32), (key & np.uint64(0xFFFFFFFF)).astype(jnp.int32)
+        tiles, ranks = _sort_on_cpu(tiles, ranks)
         return tiles, ranks, jnp.searchsorted(tiles, jnp.arange(num_tiles + 2, dtype=jnp.int32)).astype(jnp.int32)
 
     capacity, half = tiles.shape[0], tiles.shape[0] // 2
-    (near_tiles, near_ranks, near_starts), (far_tiles, far_ranks, far_starts) = (
-        sort(tiles[:half], ranks[:half]),
-        sort(tiles[half:], ranks[half:]),
-    )
+    near_tiles, near_ranks, near_starts = sort(tiles[:half], ranks[:half])
+    far_tiles, far_ranks, far_starts = sort(tiles[half:], ranks[half:])
     near_place = jnp.arange(half, dtype=jnp.int32) + far_starts[near_tiles]
     far_place = jnp.arange(capacity - half, dtype=jnp.int32) + near_starts[far_tiles + 1]
     lists = jnp.zeros(capacity, jnp.int32)
@@ -170,51 +172,42 @@ def bin_splats(
         )
     order = _depth_order(jax.lax.stop_gradient(projection.depths).reshape(-1), visible)
     low, size = (x[order] for x in _tile_boxes(projection, grid))
-    count = size[:, 0] * size[:, 1]
-    start, needed = jnp.cumsum(count, dtype=jnp.int32) - count, _total(count)
-
-    # Slot -> rank in depth order: a mark where each non-empty splat starts, then a running count.
-    num_splats = count.shape[0]
-    occupied = count > 0
-    mark = jnp.zeros(capacity, jnp.int32).at[jnp.where(occupied, start, capacity)].add(1, mode="drop")
-    compact = jnp.zeros(num_splats, jnp.int32)
-    compact = compact.at[jnp.where(occupied, jnp.cumsum(occupied, dtype=jnp.int32) - 1, num_splats)].set(
-        jnp.arange(num_splats, dtype=jnp.int32), mode="drop"
-    )
-    slot = jnp.arange(capacity, dtype=jnp.int32)
-    rank = compact[jnp.maximum(jnp.cumsum(mark, dtype=jnp.int32) - 1, 0)]
-
-    # Everything a pair needs in two gathers: integers, then floats.
-    camera = order // (num_splats // grid.num_cameras)
-    box = jnp.stack([low[:, 0], low[:, 1], jnp.maximum(size[:, 0], 1), start, camera], -1)[rank]
-    index = slot - box[:, 3]
-    # Half a tile is added so that rounding cannot reach the next integer: exact, and vectorised where // is not.
-    row = jnp.floor((index.astype(jnp.float32) + 0.5) / box[:, 2].astype(jnp.float32)).astype(jnp.int32)
-    tile_x, tile_y = box[:, 0] + index - row * box[:, 2], box[:, 1] + row
-    tile = (box[:, 4] * grid.tiles_y + tile_y) * grid.tiles_x + tile_x
-
-    opacity = jnp.broadcast_to(jax.lax.stop_gradient(opacities), projection.depths.shape).reshape(-1)
-    cut = sigma_cuts(opacity, rules)
-    splat = jnp.concatenate(
-        [
-            jax.lax.stop_gradient(projection.means2d).reshape(-1, 2),
-            jax.lax.stop_gradient(projection.conics).reshape(-1, 3),
-            cut[:, None],
-        ],
-        axis=-1,
-    )[order][rank]
-    first_pixel = jnp.stack([tile_x, tile_y], -1) * grid.tile_size
+    # Rows of tiles are counted through all cameras: a box says by itself which camera it is of.
+    first_row = order // (visible.shape[0] // grid.num_cameras) * grid.tiles_y
+    rank, tile_x, row = expand_boxes(low.at[:, 1].add(first_row), size, capacity)
+    needed, tile = _total(size[:, 0] * size[:, 1]), row * grid.tiles_x + tile_x
+    splat = _ellipses(projection, opacities, rules)[order][rank]
+    first_pixel = jnp.stack([tile_x, jax.lax.rem(row, jnp.int32(grid.tiles_y))], -1) * grid.tile_size
     offset_low = first_pixel.astype(splat.dtype) + 0.5 - splat[:, :2]
     sigma = jax.vmap(_least_sigma)(offset_low, offset_low + (grid.tile_size - 1), splat[:, 2:5])
-    listed = (slot < needed) & (sigma <= splat[:, 5])
+    listed = (jnp.arange(capacity, dtype=jnp.int32) < needed) & (sigma <= splat[:, 5])
     if masks is not None:
         listed &= masks.reshape(-1)[jnp.minimum(tile, grid.num_tiles - 1)]
-    tile = jnp.where(listed, tile, grid.num_tiles)
-
-    rank, offsets = jax.lax.platform_dependent(
-        tile,
-        rank,
-        cpu=partial(_lists_on_cpu, num_tiles=grid.num_tiles),
-        default=partial(_lists, num_tiles=grid.num_tiles),
-    )
+    how = {"num_tiles": grid.num_tiles}
+    lists = partial(jax.lax.platform_dependent, cpu=partial(_lists_on_cpu, **how), default=partial(_lists, **how))
+    rank, offsets = lists(jnp.where(listed, tile, grid.num_tiles), rank)
     return TilePairs(order[rank], offsets, needed, needed > capacity)
+
+
+def expand_boxes(low: Array, size: Array, capacity: int) -> tuple[Array, Array, Array]:
+    """The tiles of `[M, 2]` boxes, row by row and one box after the other, in a number of slots.
+
+    Returns:
+        `[capacity]` int32 each: the box of a slot, and x and y of its tile; rubbish in slots past the last tile.
+    """
+    count = size[:, 0] * size[:, 1]
+    start = jnp.cumsum(count, dtype=jnp.int32) - count
+    boxes = jnp.repeat(jnp.arange(count.shape[0], dtype=jnp.int32), count, total_repeat_length=capacity)
+    # Everything that a slot needs in one gather.
+    box = jnp.stack([low[:, 0], low[:, 1], jnp.maximum(size[:, 0], 1), start], -1)[boxes]
+    index = jnp.arange(capacity, dtype=jnp.int32) - box[:, 3]
+    # Half a tile is added so that rounding cannot reach the next integer: exact, and vectorised where // is not.
+    row = jnp.floor((index.astype(jnp.float32) + 0.5) / box[:, 2].astype(jnp.float32)).astype(jnp.int32)
+    return boxes, box[:, 0] + index - row * box[:, 2], box[:, 1] + row
+
+
+def _ellipses(projection: Projection, opacities: Array, rules: Rules) -> Array:
+    """`[C * N, 6]` mean, conic and `sigma_cuts` of every splat."""
+    opacities = jnp.broadcast_to(opacities, projection.depths.shape)
+    parts = projection.means2d, projection.conics, sigma_cuts(opacities, rules)[..., None]
+    return jax.lax.stop_gradient(jnp.concatenate(parts, -1)).reshape(-1, 6)

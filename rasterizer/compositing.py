@@ -6,7 +6,7 @@ means and conics are the same for all engines. The chain rule is applied once pe
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +53,6 @@ class Engine(NamedTuple):
     list_splats: Callable[..., TilePairs] = bin_splats
     tile_size: int = 8  # default side of a tile, pixels
     check_side: Callable[[int], None] = lambda _: None  # raises ValueError for a side that the passes cannot hold
-    takes_probes: bool = False  # else they are composited as channels of zeros
     # The same engine with lists in memory of its own. Its `list_splats` takes no capacity and returns the arrays that
     # the lists are made of, without gradient; its passes take these for `lists`.
     unlisted: "Engine | None" = None
@@ -72,10 +71,14 @@ class Static(NamedTuple):
     absolute: Callable[..., Array] | None = None
 
 
-def pixel_centers(grid: TileGrid) -> tuple[Array, Array]:
-    """`[P]` x and y of a tile's pixel centres, relative to the tile's centre (small numbers round less)."""
-    y, x = np.mgrid[0 : grid.tile_size, 0 : grid.tile_size] + 0.5 - grid.tile_size / 2
-    return jnp.asarray(x.ravel(), jnp.float32), jnp.asarray(y.ravel(), jnp.float32)
+def pixel_centers(grid: TileGrid, arange: Callable[..., Any] = np.arange) -> tuple[Any, Any]:
+    """`[P]` x and y of a tile's pixel centres, relative to the tile's centre (small numbers round less).
+
+    They are constants; those of `jnp.arange` are computed, since a GPU kernel holds no constant arrays.
+    """
+    size = grid.tile_size
+    index, middle = arange(size * size, dtype=np.int32), size / 2 - 0.5
+    return (index % size).astype(np.float32) - middle, (index // size).astype(np.float32) - middle
 
 
 def moment_basis(x: Array, y: Array) -> list[Array]:
@@ -83,11 +86,11 @@ def moment_basis(x: Array, y: Array) -> list[Array]:
     return [jnp.ones_like(x), x, y, x * x, x * y, y * y]
 
 
-def tile_centers(tiles: Array, grid: TileGrid) -> Array:
-    """`[..., 2]` image position of the tiles' centres, pixels."""
-    within = tiles % (grid.tiles_x * grid.tiles_y)
-    corner = jnp.stack([within % grid.tiles_x, within // grid.tiles_x], -1) * grid.tile_size
-    return corner.astype(jnp.float32) + grid.tile_size / 2
+def tile_centers(tiles: Array, grid: TileGrid) -> tuple[Array, Array]:
+    """Image position x and y of the tiles' centres, pixels; of one tile or many."""
+    within, size = tiles % (grid.tiles_x * grid.tiles_y), grid.tile_size
+    x, y = within % grid.tiles_x * size, within // grid.tiles_x * size
+    return x.astype(jnp.float32) + size / 2, y.astype(jnp.float32) + size / 2
 
 
 def to_tiles(image: Array, grid: TileGrid) -> Array:
@@ -109,13 +112,14 @@ def to_image(tiles: Array, grid: TileGrid) -> Array:
     return image[:, : grid.height, : grid.width]
 
 
-def moments_about_means(rows: Array, centers: Array, moments: Array) -> Array:
+def moments_about_means(rows: Array, centers: tuple[Array, Array], moments: Array) -> Array:
     """`[..., 6]` moments of dL/dsigma over a tile's pixels, moved from the tile's centre to the splat's mean.
 
-    Both are sums against `moment_basis`: of the pixels relative to the centre `[..., 2]`, and of the offsets d = mean -
-    pixel. A splat that shows far nearer to its mean than to the centre loses digits, as the square of that ratio.
+    Both are sums against `moment_basis`: of the pixels relative to the centre, whose x and y are `[...]`, and of the
+    offsets d = mean - pixel. A splat that shows far nearer to its mean than to the centre loses digits, as the square
+    of that ratio.
     """
-    x, y = rows[..., 0] - centers[..., 0], rows[..., 1] - centers[..., 1]
+    x, y = rows[..., 0] - centers[0], rows[..., 1] - centers[1]
     m1, mx, my, mxx, mxy, myy = components(moments)
     dxx, dyy = x * (x * m1 - 2 * mx) + mxx, y * (y * m1 - 2 * my) + myy
     return jnp.stack([m1, x * m1 - mx, y * m1 - my, dxx, x * y * m1 - x * my - y * mx + mxy, dyy], -1)
@@ -128,6 +132,16 @@ def chain_to_rows(rows: Array, moments: Array, d_features: Array) -> Array:
     opacity = jnp.where(rows[..., 5] > 0, rows[..., 5], 1)
     shape = jnp.stack([xx * dx + xy * dy, xy * dx + yy * dy, 0.5 * dxx, dxy, 0.5 * dyy, -d1 / opacity], -1)
     return jnp.concatenate([shape, d_features], -1)
+
+
+def mask_tiles(masks: Array | None, image: Array, left: Array, median: Array | None, grid: TileGrid):
+    """The results of `rasterizer.blend` without what is in the tiles whose mask is False."""
+    if masks is None:
+        return image, left, median
+    masks = masks.reshape(grid.num_cameras, grid.tiles_y, grid.tiles_x)
+    pixels = jnp.repeat(jnp.repeat(masks, grid.tile_size, 1), grid.tile_size, 2)[:, : grid.height, : grid.width]
+    median = None if median is None else jnp.where(pixels, median, -1)
+    return jnp.where(pixels[..., None], image, 0), jnp.where(pixels[..., None], left, 1), median
 
 
 def splats_at(places: Array, splats: Array, offsets: Array) -> Array:

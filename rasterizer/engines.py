@@ -194,9 +194,12 @@ def blend(
     kind, engine, channels = resolve(backend), _engine(backend), features.shape[2]
     _check_blend(kind, engine, features, pairs, grid, absgrad)
     num_probes = 0 if probes is None else probes.shape[2]
-    if probes is not None and (not engine.takes_probes or channels + num_probes > CHANNEL_CHUNK):
-        how = {"rules": rules, "backend": backend, "masks": masks, "with_median": with_median, "absgrad": absgrad}
-        return _with_zeros(partial(blend, projection, opacities, **how), features, probes, pairs, grid, front)
+    how = {"pairs": pairs, "grid": grid, "rules": rules, "backend": backend, "masks": masks}
+    blend_part = partial(blend, projection, opacities, **how)
+    if probes is not None and (kind == "reference" or channels + num_probes > CHANNEL_CHUNK):
+        image, left, median = blend_part(features, with_median=with_median, front=front, absgrad=absgrad)
+        zeros, *_ = blend_part(probes)
+        return jnp.concatenate([image, zeros.astype(image.dtype)], -1), left, median
     if features.shape[1] == 0:
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None
@@ -207,10 +210,8 @@ def blend(
         flat, opacities, features = projection._replace(slopes=None), opacities.astype(dtype), features.astype(dtype)
         return _reference.composite(flat, opacities, features, grid.width, grid.height, rules, front)
     if front and channels > CHANNEL_CHUNK:
-        others = features[..., : channels - front.channels], features[..., channels - front.channels :]
-        part = partial(blend, projection, opacities, pairs=pairs, grid=grid, rules=rules, backend=backend, masks=masks)
-        image, left, median = part(features=others[0], with_median=with_median)
-        ended, *_ = part(features=others[1], front=front)
+        image, left, median = blend_part(features[..., : -front.channels], with_median=with_median)
+        ended, *_ = blend_part(features[..., -front.channels :], front=front)
         return jnp.concatenate([image, ended], -1), left, median
     lists = None if pairs is None else (pairs.splats, pairs.offsets)
     if engine.unlisted and lists is None:
@@ -223,15 +224,6 @@ def blend(
     absolute = None if absgrad is None else _xla.absolute_gradients
     static = Static(grid, rules, engine, with_median, front, num_probes, absolute)
     return _in_passes(partial(composite, static, *splats), flat, lists, *beside)
-
-
-def _with_zeros(blend_features: Callable, features: Array, probes: Array, pairs, grid: TileGrid, front: Front | None):
-    """`blend` with probes as channels of zeros, before those that end in front; in its image they come last."""
-    end, count = features.shape[2] - (front.channels if front else 0), probes.shape[2]
-    joined = jnp.concatenate([features[..., :end], probes.astype(features.dtype), features[..., end:]], -1)
-    image, left, median = blend_features(joined, pairs, grid, front=front)
-    before, zeros, behind = jnp.split(image, [end, end + count], -1)
-    return jnp.concatenate([before, behind, zeros], -1), left, median
 
 
 def _in_passes(blend_channels: Callable, features: Array, *others) -> tuple[Array, Array, Array | None]:

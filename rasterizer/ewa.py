@@ -5,7 +5,7 @@ slower.
 """
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,18 +47,6 @@ class Projection(NamedTuple):
     slopes: Float[Array, "C N 2"] | None = None  # what depth gains per pixel along x and y; None: depth is the centre's
 
 
-class _Splats(NamedTuple):
-    """Components of a projection, `[C, N]` each."""
-
-    mean2d: Vector
-    depth: Array
-    conic: Vector
-    extent: Vector
-    visible: Array
-    compensation: Array | None
-    slope: Vector | None
-
-
 def camera_position(mean: Vector, viewmat: Matrix) -> Vector:
     """A world point in the camera's frame."""
     return [dot(viewmat[i], mean) + viewmat[i][3] for i in range(3)]
@@ -98,8 +86,11 @@ class Options(NamedTuple):
 
 def _project_components(
     mean: Vector, shape: tuple[Vector, ...], opacity: Array, viewmat: Matrix, lens: Lens, *, options: Options
-) -> _Splats:
-    """`shape`: quaternion and scales, or the upper triangle of a covariance."""
+) -> dict[str, Any]:
+    """The fields of `Projection` by name, in components `[C, N]`.
+
+    `shape` is quaternion and scales, or the upper triangle of a covariance.
+    """
     model, size, eps2d, near_plane, far_plane, radius_clip, rasterize_mode, depth_mode, rules = options
     of_axes = len(shape) == 2
     image_covariance = seen_from_axes if of_axes else seen_from_triangle
@@ -160,7 +151,8 @@ def _project_components(
     for center, radius, limit in zip(jax.lax.stop_gradient(mean2d), radii, size, strict=True):
         visible &= (center + radius > 0) & (center - radius < limit)
     extent = [jnp.where(visible, reach, 0) for reach in extent]
-    return _Splats(mean2d, z, conic, extent, visible, compensation, slope)
+    parts = {"means2d": mean2d, "depths": z, "conics": conic, "extents": extent, "visible": visible}
+    return parts | {"compensations": compensation, "slopes": slope}
 
 
 _traced_once = jax.jit(_project_components, static_argnames="options")
@@ -193,13 +185,7 @@ def project_in_jnp(
 
     project_all = partial(_traced_once, options=options)
     # Recomputed on the way back: the inputs alone are kept in memory.
-    splats = walled(jax.checkpoint(project_all), jnp.any(opacities >= options.rules.alpha_min), *inputs)
-    return Projection(
-        jnp.stack(splats.mean2d, -1),
-        splats.depth,
-        jnp.stack(splats.conic, -1),
-        jnp.stack(splats.extent, -1),
-        splats.visible,
-        splats.compensation,
-        None if splats.slope is None else jnp.stack(splats.slope, -1),
-    )
+    parts = walled(jax.checkpoint(project_all), jnp.any(opacities >= options.rules.alpha_min), *inputs)
+    # Stacked on this side of the wall.
+    fields = {name: jnp.stack(part, -1) if isinstance(part, list) else part for name, part in parts.items()}
+    return Projection(**fields)

@@ -16,9 +16,10 @@ from jax import Array
 from jaxtyping import Bool, Float, Int, Int32, Int64, Num
 
 from rasterizer.arrays import takes_arrays
-from rasterizer.binning import TileGrid, TilePairs
+from rasterizer.binning import TileGrid, TilePairs, expand_boxes
 from rasterizer.camera_models import CAMERA_MODELS, CameraModelName, Lens
 from rasterizer.checks import absgrad_zeros, check_mode
+from rasterizer.compositing import mask_tiles
 from rasterizer.covariances import Matrix, components, dot, matrix_rows, symmetric
 from rasterizer.engines import Backend, blend
 from rasterizer.ewa import Projection, camera_position
@@ -283,19 +284,16 @@ def isect_tiles(
     size = jnp.where((radii > 0).all(-1, keepdims=True), high - low, 0)
     tiles_per_gauss = size[..., 0] * size[..., 1]
 
-    flat, low, width = tiles_per_gauss.reshape(-1), low.reshape(-1, 2), jnp.maximum(size[..., 0].reshape(-1), 1)
     if capacity is None:
         try:
-            capacity = int(flat.sum())
+            capacity = int(tiles_per_gauss.sum())
         except jax.errors.ConcretizationTypeError:
             raise ValueError("inside jit the number of intersections is not known: pass capacity=...") from None
-    splat = jnp.repeat(jnp.arange(flat.size, dtype=jnp.int32), flat, total_repeat_length=capacity)
-    slot = jnp.arange(capacity, dtype=jnp.int32)
-    index = slot - (jnp.cumsum(flat) - flat)[splat]
-    tile = (low[splat, 1] + index // width[splat]) * tile_width + low[splat, 0] + index % width[splat]
+    splat, tile_x, tile_y = expand_boxes(low.reshape(-1, 2), size.reshape(-1, 2), capacity)
+    tile = tile_y * tile_width + tile_x
     bits = jax.lax.bitcast_convert_type(depths.astype(jnp.float32).reshape(-1), jnp.uint32)[splat]
     image = splat // max(means2d.shape[-2], 1)
-    used = slot < flat.sum()
+    used = jnp.arange(capacity, dtype=jnp.int32) < tiles_per_gauss.sum()
     with jax.enable_x64(True):
         high_bits = (image.astype(jnp.int64) << _tile_bits(tile_width * tile_height)) | tile.astype(jnp.int64)
         ids = jnp.where(used, (high_bits << 32) | bits.astype(jnp.int64), PADDING)
@@ -316,18 +314,6 @@ def isect_offset_encode(
         first = ((image << _tile_bits(num_tiles)) | tile) << 32
         offsets = jnp.searchsorted(isect_ids, first).astype(jnp.int32)
     return offsets.reshape(n_images, tile_height, tile_width)
-
-
-def _keep_masked(pairs: TilePairs, masks: Array) -> TilePairs:
-    """The lists without those of masked tiles, moved together."""
-    counts = pairs.offsets[1:] - pairs.offsets[:-1]
-    slot = jnp.arange(pairs.splats.shape[0], dtype=jnp.int32)
-    tile = jnp.clip(jnp.searchsorted(pairs.offsets, slot, side="right") - 1, 0, counts.shape[0] - 1)
-    is_kept = masks[tile] & (slot < pairs.offsets[-1])
-    place = jnp.where(is_kept, jnp.cumsum(is_kept, dtype=jnp.int32) - 1, slot.shape[0])
-    splats = jnp.zeros_like(pairs.splats).at[place].set(pairs.splats, mode="drop")
-    ends = jnp.cumsum(jnp.where(masks, counts, 0), dtype=jnp.int32)
-    return pairs._replace(splats=splats, offsets=jnp.concatenate([jnp.zeros(1, jnp.int32), ends]))
 
 
 @takes_arrays
@@ -382,8 +368,6 @@ def rasterize_to_pixels(
     # In order and within the lists, whatever comes: the CPU's loops read what these say.
     offsets = jax.lax.cummax(jnp.clip(jnp.append(isect_offsets.reshape(-1), total), 0, total))
     pairs = TilePairs(splats, offsets, total, jnp.array(False))
-    if masks is not None:
-        pairs = _keep_masked(pairs, masks.reshape(-1))
 
     def flat(x: Array) -> Array:
         return x.reshape(num_images, count, *x.shape[means2d.ndim - 1 :])
@@ -391,7 +375,9 @@ def rasterize_to_pixels(
     everywhere = jnp.ones((num_images, count), bool)
     projection = Projection(flat(means2d), flat(opacities), flat(conics), flat(means2d), everywhere)
     how = {"backend": backend, "absgrad": None if probe is None else flat(probe)}
-    image, left, _ = blend(projection, flat(opacities), flat(colors), pairs, grid, rules, **how)
+    image, left, _ = mask_tiles(
+        masks, *blend(projection, flat(opacities), flat(colors), pairs, grid, rules, **how), grid
+    )
     if backgrounds is not None:
         behind = jnp.broadcast_to(backgrounds, (*images, colors.shape[-1]))
         image = image + left * behind.reshape(num_images, 1, 1, -1)

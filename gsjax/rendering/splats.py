@@ -130,7 +130,7 @@ def splat(
 def needed_capacity(gaussians: Any, camera: Camera, backend: rasterizer.Backend = "auto") -> Array:
     """`[]` int32 length of the pair buffer that this view needs."""
     scene, camera = in_one_dtype(gaussians, camera, backend)
-    return rasterizer.count_pairs(_project(scene, camera, "center", backend), tile_grid(camera, backend))
+    return rasterizer.count_pairs(projected(scene, camera, "center", backend)[0], tile_grid(camera, backend))
 
 
 def largest_need(gaussians: Any, cameras: Iterable[Camera]) -> int:
@@ -145,17 +145,7 @@ def projected(
     scene: Drawable, camera: Camera, depth_mode: DepthMode, backend: rasterizer.Backend = "auto"
 ) -> tuple[rasterizer.Projection, Array]:
     """The splats of one view, and `[N]` their opacities as its pixels see them."""
-    projection = _project(scene, camera, depth_mode, backend)
-    opacities = scene.opacities
-    if projection.compensations is not None:
-        opacities = opacities * projection.compensations[0]
-    return projection, opacities
-
-
-def _project(
-    scene: Drawable, camera: Camera, depth_mode: DepthMode, backend: rasterizer.Backend
-) -> rasterizer.Projection:
-    return rasterizer.project(
+    projection = rasterizer.project(
         scene.means,
         scene.quats,
         scene.scales,
@@ -169,6 +159,10 @@ def _project(
         backend=backend,
         **PIXEL_FILTERS[scene.pixel_filter],
     )
+    opacities = scene.opacities
+    if projection.compensations is not None:
+        opacities = opacities * projection.compensations[0]
+    return projection, opacities
 
 
 def tile_grid(camera: Camera, backend: rasterizer.Backend = "auto") -> rasterizer.TileGrid:

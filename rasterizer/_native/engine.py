@@ -101,5 +101,5 @@ def _check_side(side: int) -> None:
         raise ValueError(f"tile_size={side} is over {MAX_SIDE}, the most that backend='native' holds")
 
 
-_UNLISTED = Engine(_forward, _backward, _listed, takes_probes=True)
-ENGINE = Engine(_forward, _backward, bin_splats, check_side=_check_side, takes_probes=True, unlisted=_UNLISTED)
+_UNLISTED = Engine(_forward, _backward, _listed)
+ENGINE = Engine(_forward, _backward, bin_splats, check_side=_check_side, unlisted=_UNLISTED)

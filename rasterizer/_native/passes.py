@@ -85,7 +85,7 @@ def thresholds_of(job):
 
 
 @inlined
-def given(job, place):
+def backward_argument(job, place):
     """The record of an argument of the way back, from those behind the lists on."""
     return argument(word(job, _FRAME), word(job, _LISTED) + 1 + place)
 
@@ -198,8 +198,8 @@ def blend_band(job, band):
 def unblend_band(job, band):
     """Sums, of every splat that a band's tiles show, the moments of dL/dsigma and the gradients to channels."""
     offsets, sizes, rules = int32s_of(job, _OFFSETS), sizes_of(job), thresholds_of(job)
-    light, last = floats(given(job, 0)), int32s(given(job, 1))
-    d_features, d_light = floats(given(job, 2)), floats(given(job, 3))
+    light, last = floats(backward_argument(job, 0)), int32s(backward_argument(job, 1))
+    d_features, d_light = floats(backward_argument(job, 2)), floats(backward_argument(job, 3))
     _, _, on, in_front, width, side = shape_of(job)
     tiles, pixels, probes = word(job, _TILES), side * side, probes_of(job)
 

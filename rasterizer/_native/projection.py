@@ -65,43 +65,28 @@ def column(rows, width, place, count):
 
 
 @inlined
-def set_column(rows, width, place, count, vector):
-    """Writes one number of each row."""
-    lanes = floats_on_stack(LANES)
-    store(lanes, vector)
-    for i in range(count):
-        rows[i * width + place] = lanes[i]
-
-
-@inlined
 def columns_of_three(frame, place, row, count):
-    """Three vectors of an argument."""
+    """Three vectors of an argument, from a row on."""
     rows = argument_rows(frame, place, row, 3)
     return column(rows, 3, 0, count), column(rows, 3, 1, count), column(rows, 3, 2, count)
 
 
 @inlined
-def set_columns_of_three(frame, place, row, count, vectors):
-    """Writes three numbers of each row of a result."""
-    rows = result_rows(frame, place, row, 3)
-    set_column(rows, 3, 0, count, vectors[0])
-    set_column(rows, 3, 1, count, vectors[1])
-    set_column(rows, 3, 2, count, vectors[2])
-
-
-@inlined
 def columns_of_two(frame, place, row, count):
-    """Two vectors of an argument."""
+    """Two vectors of an argument, from a row on."""
     rows = argument_rows(frame, place, row, 2)
     return column(rows, 2, 0, count), column(rows, 2, 1, count)
 
 
 @inlined
-def set_columns_of_two(frame, place, row, count, vectors):
-    """Writes two numbers of each row of a result."""
-    rows = result_rows(frame, place, row, 2)
-    set_column(rows, 2, 0, count, vectors[0])
-    set_column(rows, 2, 1, count, vectors[1])
+def set_columns(frame, place, row, count, vectors):
+    """Writes all numbers of each row of a result, from a row on."""
+    width = len(vectors)
+    rows, lanes = result_rows(frame, place, row, width), floats_on_stack(LANES)
+    for number in range(width):
+        store(lanes, vectors[number])
+        for i in range(count):
+            rows[i * width + number] = lanes[i]
 
 
 @inlined
@@ -114,12 +99,6 @@ def options_of(frame):
 def count_rows(frame):
     """Gaussians."""
     return length(argument(frame, _MEANS), 0)
-
-
-@inlined
-def count_cameras(frame):
-    """Cameras."""
-    return length(argument(frame, _VIEWMATS), 0)
 
 
 @inlined
@@ -192,7 +171,7 @@ def sigmas_of(frame, opacity):
 @inlined
 def project_some(frame, first, count):
     """Projects the Gaussians from a row on into all cameras."""
-    for camera in range(count_cameras(frame)):
+    for camera in range(length(argument(frame, _VIEWMATS), 0)):
         project_into(frame, camera, first, count)
 
 
@@ -206,17 +185,17 @@ def project_into(frame, camera, first, count):
     if options[_ANTIALIASED] > ZERO:
         factor, _ = compensation_of(view, options[_COMPENSATION_MIN])
         opacity = opacity * factor
-        set_column(result_rows(frame, _COMPENSATIONS, row, 1), 1, 0, count, where(usable, factor, ONE))
+        set_columns(frame, _COMPENSATIONS, row, count, (where(usable, factor, ONE),))
     if options[_PLANE] > ZERO:
         tilt = tilt_of(g, view, lens)
         steep_x, steep_y = tilt.steep[0] * tilt.flatter, tilt.steep[1] * tilt.flatter
-        set_columns_of_two(frame, _SLOPES, row, count, (where(usable, steep_x, ZERO), where(usable, steep_y, ZERO)))
+        set_columns(frame, _SLOPES, row, count, (where(usable, steep_x, ZERO), where(usable, steep_y, ZERO)))
     (x, y), conic = center_of(view, lens), conic_of(view)
     x, y = where(usable, x, lens.center[0]), where(usable, y, lens.center[1])
-    set_columns_of_two(frame, _MEANS2D, row, count, (x, y))
-    set_column(result_rows(frame, _DEPTHS, row, 1), 1, 0, count, where(usable, view.depth, ONE))
+    set_columns(frame, _MEANS2D, row, count, (x, y))
+    set_columns(frame, _DEPTHS, row, count, (where(usable, view.depth, ONE),))
     conic = where(usable, conic[0], ONE), where(usable, conic[1], ZERO), where(usable, conic[2], ONE)
-    set_columns_of_three(frame, _CONICS, row, count, conic)
+    set_columns(frame, _CONICS, row, count, conic)
     usable = usable & (opacity >= broadcast(options[_ALPHA_MIN]))
     sigmas, (xx, _, yy) = sigmas_of(frame, where(usable, opacity, ONE)), view.variances
     set_extents(frame, row, count, usable, (x, y), (sigmas * square_root(xx), sigmas * square_root(yy)))
@@ -232,7 +211,7 @@ def set_extents(frame, row, count, usable, center, reach):
     if options[_RADIUS_CLIP] > ZERO:
         visible = visible & ((radius_x > options[_RADIUS_CLIP]) | (radius_y > options[_RADIUS_CLIP]))
     extents = where(visible, reach[0], ZERO), where(visible, reach[1], ZERO)
-    set_columns_of_two(frame, _EXTENTS, row, count, extents)
+    set_columns(frame, _EXTENTS, row, count, extents)
     lanes, flags = floats_on_stack(LANES), as_bytes(data(result(frame, _VISIBLE)) + row)
     store(lanes, where(visible, ONE, broadcast(ZERO)))
     for i in range(count):
@@ -290,17 +269,14 @@ def differentiate_some(frame, first, count):
     nothing = broadcast(ZERO)
     to_mean, to_scales = (nothing, nothing, nothing), (nothing, nothing, nothing)
     w, to_axis = nothing, (nothing, nothing, nothing)
-    for camera in range(count_cameras(frame)):
+    for camera in range(length(argument(frame, _VIEWMATS), 0)):
         if is_pulled(frame, camera, first, count):
             mean, quat, scales = gradient_in_view(frame, camera, first, count, g, opacity)
             to_mean, to_scales = plus(to_mean, mean), plus(to_scales, scales)
             w, to_axis = w + quat[0], plus(to_axis, quat[1:])
-    set_columns_of_three(frame, _D_MEANS, first, count, to_mean)
-    set_columns_of_three(frame, _D_SCALES, first, count, to_scales)
-    quats = result_rows(frame, _D_QUATS, first, 4)
-    set_column(quats, 4, 0, count, w)
-    for place in range(3):
-        set_column(quats, 4, place + 1, count, to_axis[place])
+    set_columns(frame, _D_MEANS, first, count, to_mean)
+    set_columns(frame, _D_SCALES, first, count, to_scales)
+    set_columns(frame, _D_QUATS, first, count, (w, to_axis[0], to_axis[1], to_axis[2]))
 
 
 @handler

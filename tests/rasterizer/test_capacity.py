@@ -11,7 +11,6 @@ from scenes import cloud, evaluate, loss, relative_errors, render
 from tolerances import assert_close
 
 import rasterizer.api
-import rasterizer.capacity
 from rasterizer import capacity_bucket
 
 SCENE = replace(cloud(), scales=2 * cloud().scales)
@@ -57,8 +56,8 @@ def test_buckets_hold_and_waste_at_most_half():
 
 def test_a_new_camera_compiles_nothing(monkeypatch):
     image = render(SCENE)[0]
-    # What a program calls while it is traced: the count of pairs, and the images.
-    monkeypatch.setattr(rasterizer.capacity, "project", None)
+    # What a program calls while it is traced: of the count of pairs, and of the images.
+    monkeypatch.setattr(rasterizer.api, "project", None)
     monkeypatch.setattr(rasterizer.api, "_project", None)
     moved = replace(SCENE, viewmats=SCENE.viewmats.at[0, 0, 3].add(1e-3), Ks=SCENE.Ks * 1.0001)
     assert not np.array_equal(render(moved)[0], image)

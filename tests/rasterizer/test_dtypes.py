@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import cloud, evaluate, in_float64, loss
+from scenes import cloud, in_float64, loss
 from tolerances import assert_close
 
 SCENE = cloud()
@@ -63,11 +63,3 @@ def test_the_dtype_of_the_gaussians_decides_and_float64_is_the_references_alone(
     for scene, name, dtype in ((finer, "means", own), (cameras, "viewmats", jnp.float32)):
         image, slopes = jax.eval_shape(partial(image_and_gradients, names=(name,), backend=backend), scene)
         assert image.dtype == dtype and slopes[name].dtype == jnp.float64
-
-
-def test_float64_is_rendered_as_float32():
-    expected, _, _, gradient = evaluate(SCENE, "native")
-    with jax.enable_x64(True):
-        image, slopes = image_and_gradients(in_float64(SCENE), ("means",), "native")
-    assert_close(image, expected)
-    assert_close(np.float32(slopes["means"]), gradient.means, kind="gradient")

@@ -1,4 +1,4 @@
-"""The projection in jnp and in native loops against float64: values and gradients, of hard Gaussians too."""
+"""The projection in native loops against float64: values and gradients, of hard Gaussians too."""
 
 from functools import partial
 
@@ -58,16 +58,14 @@ def with_gradients(arrays, cotangents, *, backend, **options):
     return projection.visible, parts | {"extents": projection.extents}, gradients
 
 
-@pytest.mark.parametrize(
-    ("backend", "mode"), [("native", "classic"), ("native", "antialiased planes"), ("xla", "antialiased planes")]
-)
-def test_values_and_gradients_against_float64(backend, mode):
+@pytest.mark.parametrize("mode", OPTIONS)
+def test_values_and_gradients_against_float64(mode):
     arrays, rng = hard_and_random(), np.random.default_rng(6)
     rows = 2, len(arrays[0])
     widths = {"means2d": (2,), "depths": (), "conics": (3,), "compensations": (), "slopes": (2,)}
     cotangents = {name: rng.normal(size=(*rows, *width)) for name, width in widths.items()}
     run = partial(with_gradients, **OPTIONS[mode])
-    visible, values, gradients = jax.jit(partial(run, backend=backend))(arrays, cotangents)
+    visible, values, gradients = jax.jit(partial(run, backend="native"))(arrays, cotangents)
     with jax.enable_x64(True):
         exact = [jnp.asarray(part, jnp.float64) for part in arrays]
         is_visible, expected, pulled = jax.tree.map(np.asarray, run(exact, cotangents, backend="reference"))
@@ -83,15 +81,3 @@ def test_values_and_gradients_against_float64(backend, mode):
         size = np.abs(part).max()
         assert_close(gradients[name][1:], part, rtol=1e-3, atol=1e-5 * size, why="needles beside far splats")
         np.testing.assert_array_equal(np.asarray(gradients[name])[0], 0)
-
-
-def test_gradients_to_the_cameras_are_those_of_jnp():
-    means, quats, scales, opacities, viewmats, Ks = hard_and_random()
-
-    def total(viewmats, Ks, backend):
-        p = project(means, quats, scales, opacities, viewmats, Ks, WIDTH, HEIGHT, backend=backend)
-        return jnp.sum(jnp.where(p.visible[..., None], p.means2d + p.conics[..., :2], 0))
-
-    in_loops, in_jnp = (jax.grad(total, (0, 1))(viewmats, Ks, backend) for backend in ("native", "xla"))
-    assert_close(in_loops, in_jnp, kind="gradient")
-    assert all(np.any(part != 0) for part in in_jnp)
