@@ -87,11 +87,7 @@ def _forward(static: Static, rows: Array, lists: tuple[Array, Array]) -> Blended
 
     groups = _groups(counts)
     done = jax.lax.map(group, groups)
-    place = (
-        jnp.zeros(groups.size, jnp.int32)
-        .at[groups.reshape(-1)]
-        .set(jnp.arange(groups.size, dtype=jnp.int32), mode="drop")[: counts.shape[0]]
-    )
+    place = jnp.argsort(groups.reshape(-1))[: counts.shape[0]]  # Missing tiles are numbered last.
     blended = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[place], done)
     if blended.median is None:
         return blended

@@ -53,9 +53,9 @@ class Engine(NamedTuple):
     list_splats: Callable[..., TilePairs] = bin_splats
     tile_size: int = 8  # default side of a tile, pixels
     check_side: Callable[[int], None] = lambda _: None  # raises ValueError for a side that the passes cannot hold
-    # The same engine with lists in memory of its own. Its `list_splats` takes no capacity and returns the arrays that
-    # the lists are made of, without gradient; its passes take these for `lists`.
-    unlisted: "Engine | None" = None
+    # (projection, opacities, grid, rules, masks) -> what both passes take for `lists` to list splats in memory of their
+    # own: arrays without gradient. None: they cannot.
+    unlisted: Callable[..., tuple[Array, ...]] | None = None
 
 
 class Static(NamedTuple):
@@ -169,7 +169,7 @@ def composite(
         conics: `[M, 3]`.
         opacities: `[M]`.
         features: `[M, D]` any channels.
-        lists: `[capacity]` splats and `[num_tiles + 1]` offsets of `TilePairs`; of an unlisted engine, its own arrays.
+        lists: `[capacity]` splats and `[num_tiles + 1]` offsets of `TilePairs`; or what `Engine.unlisted` returns.
         absgrad: `[M, 2]` anything, with `static.absolute`: nothing depends on it, and its gradient are those sums.
         probes: `[M, K]` channels of zeros, with `static.probes` K.
 

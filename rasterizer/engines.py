@@ -29,20 +29,24 @@ logger = logging.getLogger("rasterizer")
 
 def resolve(backend: Backend) -> Backend:
     """The backend that "auto" means on jax's default device."""
-    if backend != "auto":
-        return backend
+    return choose()[0] if backend == "auto" else backend
+
+
+def choose() -> tuple[Backend, str | None]:
+    """The backend for jax's default device; and why the device's fastest one does not run, None where it does."""
     device = default_device()
     if device.platform == "cpu":
-        return "native" if _native_or_none() else "xla"
+        reason = _why_no_loops()
+        return ("xla", reason) if reason else ("native", None)
     reason = why_no_kernels(device)
-    return "pallas" if reason is None else _in_jnp(reason)
+    return ("xla", _logged(f"the rasterizer runs in jnp: {reason}")) if reason else ("pallas", None)
 
 
 @cache
-def _in_jnp(reason: str) -> Backend:
-    """Log the reason, once."""
-    logger.warning("the rasterizer runs in jnp: %s", reason)
-    return "xla"
+def _logged(reason: str) -> str:
+    """The reason, logged the first time."""
+    logger.warning("%s", reason)
+    return reason
 
 
 def prepare() -> None:
@@ -65,12 +69,12 @@ def load_loops() -> ModuleType:
 
 
 @cache
-def _native_or_none() -> ModuleType | None:
+def _why_no_loops() -> str | None:
     try:
-        return load_loops()
+        load_loops()
     except ImportError as error:
-        logger.warning("the CPU's rasterizer runs in jnp, several times slower than its native loops: %s", error)
-        return None
+        return _logged(f"the CPU's rasterizer runs in jnp, several times slower than its native loops: {error}")
+    return None
 
 
 def _kernels() -> Engine:
@@ -213,10 +217,11 @@ def blend(
         image, left, median = blend_part(features[..., : -front.channels], with_median=with_median)
         ended, *_ = blend_part(features[..., -front.channels :], front=front)
         return jnp.concatenate([image, ended], -1), left, median
-    lists = None if pairs is None else (pairs.splats, pairs.offsets)
-    if engine.unlisted and lists is None:
-        engine = engine.unlisted
-        lists = engine.list_splats(projection, opacities, grid, rules, masks)
+    if pairs is not None:
+        lists = pairs.splats, pairs.offsets
+    else:
+        assert engine.unlisted  # `_check_blend`
+        lists = engine.unlisted(projection, opacities, grid, rules, masks)
     splats = projection.means2d, projection.conics, jnp.where(projection.visible, opacities, 0)
     splats = (reverse_only(in_float32(x).reshape(-1, *x.shape[2:])) for x in splats)
     flat = reverse_only(in_float32(features).reshape(-1, channels))

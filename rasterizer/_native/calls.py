@@ -158,6 +158,17 @@ def finish(frame, had_memory):
 
 
 @inlined
+def map_rows(frame, do, width, block, strip):
+    """What a handler returns that does all rows of the first argument, by `do(frame, first row, at most strip)`.
+
+    A row has `width` numbers; a thread takes a block of them at a time.
+    """
+    if only_introduces(frame):
+        return 0
+    return finish(frame, share_rows(frame, do, frame, size(argument(frame, 0)) // width, block, strip))
+
+
+@inlined
 def share(frame, do, job, items):
     """Does all items of a job, by `do(job, item)`, with as many of XLA's threads as come to help.
 

@@ -101,5 +101,4 @@ def _check_side(side: int) -> None:
         raise ValueError(f"tile_size={side} is over {MAX_SIDE}, the most that backend='native' holds")
 
 
-_UNLISTED = Engine(_forward, _backward, _listed)
-ENGINE = Engine(_forward, _backward, bin_splats, check_side=_check_side, unlisted=_UNLISTED)
+ENGINE = Engine(_forward, _backward, bin_splats, check_side=_check_side, unlisted=_listed)

@@ -8,16 +8,7 @@ does not show, has zero gradients and is not read.
 import numpy as np
 
 from rasterizer._native.blending import ONE, ZERO
-from rasterizer._native.calls import (
-    argument,
-    argument_rows,
-    finish,
-    floats,
-    length,
-    only_introduces,
-    result_rows,
-    share_rows,
-)
+from rasterizer._native.calls import argument, argument_rows, floats, length, map_rows, result_rows
 from rasterizer._native.compiled import handler, inlined
 from rasterizer._native.instructions import floats_at, floats_on_stack
 from rasterizer._native.vectors import LANES, absolute, larger, load, square_root, store, where
@@ -212,16 +203,10 @@ def differentiate_strip(frame, first, count):
 @handler
 def upper_bands(frame):
     """(directions, coefficients, weights) -> values."""
-    if only_introduces(frame):
-        return 0
-    rows = length(argument(frame, _DIRS), 0)
-    return finish(frame, share_rows(frame, evaluate_strip, frame, rows, BLOCK, STRIP))
+    return map_rows(frame, evaluate_strip, 3, BLOCK, STRIP)
 
 
 @handler
 def upper_bands_gradient(frame):
     """(directions, coefficients, weights, cotangents of the values) -> gradients to directions and coefficients."""
-    if only_introduces(frame):
-        return 0
-    rows = length(argument(frame, _DIRS), 0)
-    return finish(frame, share_rows(frame, differentiate_strip, frame, rows, BLOCK, STRIP))
+    return map_rows(frame, differentiate_strip, 3, BLOCK, STRIP)

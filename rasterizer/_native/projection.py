@@ -9,19 +9,7 @@ import math
 import numpy as np
 
 from rasterizer._native.blending import ONE, ZERO
-from rasterizer._native.calls import (
-    argument,
-    argument_rows,
-    data,
-    finish,
-    floats,
-    length,
-    only_introduces,
-    result,
-    result_rows,
-    share_rows,
-    size,
-)
+from rasterizer._native.calls import argument, argument_rows, data, floats, length, map_rows, result, result_rows, size
 from rasterizer._native.compiled import handler, inlined
 from rasterizer._native.ewa import (
     Lens,
@@ -282,9 +270,7 @@ def differentiate_some(frame, first, count):
 @handler
 def project(frame):
     """(means, quats, scales, opacities, viewmats, Ks, options) -> the fields of `Projection`, from `means2d` on."""
-    if only_introduces(frame):
-        return 0
-    return finish(frame, share_rows(frame, project_some, frame, count_rows(frame), BLOCK, LANES))
+    return map_rows(frame, project_some, 3, BLOCK, LANES)
 
 
 @handler
@@ -293,6 +279,4 @@ def project_gradient(frame):
 
     A cotangent without numbers is zero.
     """
-    if only_introduces(frame):
-        return 0
-    return finish(frame, share_rows(frame, differentiate_some, frame, count_rows(frame), BLOCK, LANES))
+    return map_rows(frame, differentiate_some, 3, BLOCK, LANES)

@@ -11,6 +11,7 @@ from rasterizer._native.calls import (
     finish,
     flags,
     floats,
+    map_rows,
     only_introduces,
     result,
     result_rows,
@@ -56,7 +57,9 @@ def all_finite(frame):
 
 @inlined
 def update(frame, first, count):
-    """Updates so many numbers."""
+    """Updates so many numbers, unless the step is skipped."""
+    if flags(argument(frame, 5))[0]:
+        return
     parameters, gradients = result_rows(frame, 0, first, 1), argument_rows(frame, 1, first, 1)
     mu, nu, numbers = result_rows(frame, 1, first, 1), result_rows(frame, 2, first, 1), floats(argument(frame, 4))
     rate, b1, new_share_1, b2, new_share_2 = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
@@ -72,8 +75,4 @@ def update(frame, first, count):
 @handler
 def adam(frame):
     """(parameters, gradients, mu, nu, numbers, skipped) -> the first, third and fourth, in their places."""
-    if only_introduces(frame):
-        return 0
-    if flags(argument(frame, 5))[0]:
-        return 0
-    return finish(frame, share_rows(frame, update, frame, size(argument(frame, 0)), BLOCK, BLOCK))
+    return map_rows(frame, update, 1, BLOCK, BLOCK)

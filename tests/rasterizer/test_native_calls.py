@@ -90,7 +90,8 @@ def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, ca
         raise ImportError("No module named 'numba'")
 
     monkeypatch.setattr(engines, "load_loops", missing)
-    engines._native_or_none.cache_clear()
+    engines._why_no_loops.cache_clear()
+    engines._logged.cache_clear()
     try:
         assert [engines.resolve("auto") for _ in range(3)] == ["xla"] * 3
         assert [record.message for record in caplog.records] == [
@@ -99,7 +100,7 @@ def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, ca
         with pytest.raises(ImportError):
             render(cloud(), capacity=2047, backend="native")  # Of another capacity than any program that is kept.
     finally:
-        engines._native_or_none.cache_clear()
+        engines._why_no_loops.cache_clear()
 
 
 def test_another_interface_of_xla_is_refused_by_its_version(monkeypatch, tmp_path):
