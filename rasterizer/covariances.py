@@ -28,6 +28,11 @@ def matrix_rows(matrices: Array) -> Matrix:
     return [components(matrices[..., i, :]) for i in range(matrices.shape[-2])]
 
 
+def camera_rows(matrices: Array) -> Matrix:
+    """`[..., C, n, m]` of C cameras -> n rows of m arrays `[..., C, 1]`, which broadcast against Gaussians."""
+    return [[entry[..., None] for entry in row] for row in matrix_rows(matrices)]
+
+
 def dot(a: Vector, b: Vector) -> Array:
     """Scalar product in three dimensions."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

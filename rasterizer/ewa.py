@@ -16,9 +16,9 @@ from rasterizer.camera_models import CameraModel, Lens
 from rasterizer.covariances import (
     Matrix,
     Vector,
+    camera_rows,
     components,
     dot,
-    matrix_rows,
     seen_from_axes,
     seen_from_triangle,
     tilt_from_axes,
@@ -84,6 +84,22 @@ class Options(NamedTuple):
     rules: Rules
 
 
+def _extents(mean2d: Vector, variances: Vector, opacity: Array, usable: Array, options: Options):
+    """Half width and height of what can pass the alpha cut, 0 where not visible; and what is visible."""
+    rules, sigmas = options.rules, options.rules.extent_sigmas
+    if rules.opacity_extent:
+        # alpha falls to alpha_min where exp(-s^2 / 2) = alpha_min / opacity.
+        ratio = jnp.where(usable, opacity, 1) / rules.alpha_min
+        sigmas = jnp.minimum(sigmas, jnp.sqrt(2 * jnp.log(jnp.maximum(ratio, 1))))
+    extent, visible = [sigmas * jnp.sqrt(variance) for variance in variances], usable
+    radii = [jnp.ceil(reach) for reach in extent]  # Whole pixels, as gsplat's are.
+    if options.radius_clip > 0:
+        visible &= (radii[0] > options.radius_clip) | (radii[1] > options.radius_clip)
+    for center, radius, limit in zip(mean2d, radii, options.size, strict=True):
+        visible &= (center + radius > 0) & (center - radius < limit)
+    return [jnp.where(visible, reach, 0) for reach in extent], visible
+
+
 def _project_components(
     mean: Vector, shape: tuple[Vector, ...], opacity: Array, viewmat: Matrix, lens: Lens, *, options: Options
 ) -> dict[str, Any]:
@@ -91,7 +107,7 @@ def _project_components(
 
     `shape` is quaternion and scales, or the upper triangle of a covariance.
     """
-    model, size, eps2d, near_plane, far_plane, radius_clip, rasterize_mode, depth_mode, rules = options
+    model, size, eps2d, near_plane, far_plane, _, rasterize_mode, depth_mode, rules = options
     of_axes = len(shape) == 2
     image_covariance = seen_from_axes if of_axes else seen_from_triangle
     tilted = tilt_from_axes if of_axes else tilt_from_triangle
@@ -138,19 +154,7 @@ def _project_components(
         compensation = _compensation(sharp, det, rules)
         opacity = opacity * compensation
         usable &= jax.lax.stop_gradient(opacity) >= rules.alpha_min
-    sigmas = rules.extent_sigmas
-    if rules.opacity_extent:
-        # alpha falls to alpha_min where exp(-s^2 / 2) = alpha_min / opacity.
-        ratio = jnp.where(usable, opacity, 1) / rules.alpha_min
-        sigmas = jnp.minimum(sigmas, jnp.sqrt(2 * jnp.log(jnp.maximum(ratio, 1))))
-    extent = [jax.lax.stop_gradient(sigmas * jnp.sqrt(variance)) for variance in variances]
-    visible = usable
-    radii = [jnp.ceil(reach) for reach in extent]  # Whole pixels, as gsplat's are.
-    if radius_clip > 0:
-        visible &= (radii[0] > radius_clip) | (radii[1] > radius_clip)
-    for center, radius, limit in zip(jax.lax.stop_gradient(mean2d), radii, size, strict=True):
-        visible &= (center + radius > 0) & (center - radius < limit)
-    extent = [jnp.where(visible, reach, 0) for reach in extent]
+    extent, visible = _extents(*jax.lax.stop_gradient((mean2d, variances, opacity)), usable, options)
     parts = {"means2d": mean2d, "depths": z, "conics": conic, "extents": extent, "visible": visible}
     return parts | {"compensations": compensation, "slopes": slope}
 
@@ -176,11 +180,8 @@ def project_in_jnp(
         components(means[None]),
         tuple(components(jnp.expand_dims(shape, 0)) for shape in shapes),
         opacities[None],
-        [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)],
-        Lens(
-            [[entry[:, None] for entry in row] for row in matrix_rows(Ks)],
-            None if radial_coeffs is None else [part[:, None] for part in components(radial_coeffs)],
-        ),
+        camera_rows(viewmats),
+        Lens(camera_rows(Ks), None if radial_coeffs is None else [part[:, None] for part in components(radial_coeffs)]),
     )
 
     project_all = partial(_traced_once, options=options)

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int32
 
 from rasterizer.arrays import takes_arrays
 from rasterizer.camera_models import CAMERA_MODELS, CameraModelName
-from rasterizer.covariances import components, dot, matrix_rows, rotation
+from rasterizer.covariances import camera_rows, components, dot, rotation
 from rasterizer.ewa import Projection, camera_position
-from rasterizer.harmonics import spherical_harmonics
+from rasterizer.harmonics import camera_directions, spherical_harmonics
 
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 
@@ -41,8 +41,8 @@ def image_features(
     parts = []
     if "RGB" in render_mode:
         if sh_degree is not None:
-            centers = -jnp.sum(viewmats[:, :3, :3] * viewmats[:, :3, 3, None], axis=1)
-            values = spherical_harmonics(sh_degree, means[None] - centers[:, None], colors[None], projection.visible)
+            dirs = camera_directions(means, viewmats)
+            values = spherical_harmonics(sh_degree, dirs, colors[None], projection.visible)
             parts.append(jnp.maximum(values + 0.5, 0))
         else:
             colors = colors if colors.ndim == 3 else jnp.broadcast_to(colors[None], (num_cameras, *colors.shape))
@@ -141,7 +141,7 @@ def camera_normals(
     axis = [
         jnp.where(smallest == 0, x, jnp.where(smallest == 1, y, z)) for x, y, z in rotation(components(quats[None]))
     ]
-    viewmat = [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)]
+    viewmat = camera_rows(viewmats)
     in_camera = [dot(viewmat[i], axis) for i in range(3)]
     ray = CAMERA_MODELS[camera_model].ray(camera_position(components(means[None]), viewmat))
     away = jax.lax.stop_gradient(dot(in_camera, ray)) > 0

@@ -20,7 +20,7 @@ from rasterizer.binning import TileGrid, TilePairs, expand_boxes
 from rasterizer.camera_models import CAMERA_MODELS, CameraModelName, Lens
 from rasterizer.checks import absgrad_zeros, check_mode
 from rasterizer.compositing import mask_tiles
-from rasterizer.covariances import Matrix, components, dot, matrix_rows, symmetric
+from rasterizer.covariances import camera_rows, components, dot, matrix_rows, symmetric
 from rasterizer.engines import Backend, blend
 from rasterizer.ewa import Projection, camera_position
 from rasterizer.projection import project
@@ -105,11 +105,6 @@ DERIVED: dict[str, Callable[[Info], Any]] = {
 OF_LISTS = "tiles_per_gauss", "isect_offsets", "flatten_ids"
 
 
-def _of_cameras(cameras: Array) -> Matrix:
-    """`[..., C, n, m]` -> rows of components `[..., C, 1]`, which broadcast against Gaussians."""
-    return [[entry[..., None] for entry in row] for row in matrix_rows(cameras)]
-
-
 @takes_arrays
 def world_to_cam(
     means: Float[Array, "... N 3"], covars: Float[Array, "... N 3 3"], viewmats: Float[Array, "... C 4 4"]
@@ -124,7 +119,7 @@ def world_to_cam(
     Returns:
         Means and covariances.
     """
-    viewmat = _of_cameras(viewmats)
+    viewmat = camera_rows(viewmats)
     mean = [part[..., None, :] for part in components(means)]
     rows = [[part[..., None, :] for part in row] for row in matrix_rows(covars)]
     turned = [[dot(viewmat[i], [rows[k][j] for k in range(3)]) for j in range(3)] for i in range(3)]
@@ -158,7 +153,7 @@ def proj(
         ValueError: On another camera model.
     """
     check_mode(CameraModelName, camera_model=camera_model)
-    lens, mean, rows = Lens(_of_cameras(Ks)), components(means), matrix_rows(covars)
+    lens, mean, rows = Lens(camera_rows(Ks)), components(means), matrix_rows(covars)
     identity = [[jnp.asarray(float(i == j), means.dtype) for j in range(3)] for i in range(3)]
     mean2d, *jacobian = CAMERA_MODELS[camera_model].image_point(mean, identity, lens, (width, height))
     spread = [[dot(row, step) for row in rows] for step in jacobian]

@@ -159,6 +159,12 @@ def spherical_harmonics_l0(sh0: Float[Array, "... 1 D"]) -> Float[Array, "... D"
     return DC * sh0[..., 0, :]
 
 
+def camera_directions(means: Array, viewmats: Array) -> Array:
+    """`[..., C, N, 3]` from the centres of C cameras to N points."""
+    centers = -jnp.sum(viewmats[..., :3, :3] * viewmats[..., :3, 3, None], axis=-2)
+    return means[..., None, :, :] - centers[..., :, None, :]
+
+
 @takes_arrays
 def spherical_harmonics_l1_plus(
     degrees_to_use: int,
@@ -183,8 +189,7 @@ def spherical_harmonics_l1_plus(
     Raises:
         ValueError: As `spherical_harmonics`.
     """
-    centers = -jnp.sum(viewmats[..., :3, :3] * viewmats[..., :3, 3, None], axis=-2)
-    dirs = means[..., None, :, :] - centers[..., :, None, :]
+    dirs = camera_directions(means, viewmats)
     shN = jnp.broadcast_to(shN, (*dirs.shape[:-1], *shN.shape[-2:]))
     no_dc = jnp.zeros((*shN.shape[:-2], 1, shN.shape[-1]), shN.dtype)
     return spherical_harmonics(degrees_to_use, dirs, jnp.concatenate([no_dc, shN], -2), masks)
