@@ -17,7 +17,6 @@ P = ParamSpec("P")
 R = TypeVar("R")
 # Arguments that hold indices or truth values; the others become floats.
 _NO_FLOATS = {"masks", "radii", "isect_ids", "isect_offsets", "flatten_ids", "visible"}
-_NO_FLOATS |= {"image_ids", "batch_ids", "camera_ids", "gaussian_ids"}
 
 
 def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
