@@ -117,8 +117,8 @@ def _in_loops(options: Options, *arrays: Array) -> Projection:
     pair, one, three = ((arrays[4].shape[0], arrays[0].shape[0], *width) for width in ((2,), (), (3,)))
     shapes = pair, one, three, one if with_factors else (0,), pair if with_slopes else (0,), pair
     results = [*(jax.ShapeDtypeStruct(shape, np.float32) for shape in shapes), jax.ShapeDtypeStruct(one, bool)]
-    written = load_loops().call("project", results, *arrays, _numbers(options))
-    means2d, depths, conics, factors, slopes, extents, visible = written
+    parts = load_loops().call("project", results, *arrays, _numbers(options))
+    means2d, depths, conics, factors, slopes, extents, visible = parts
     factors, slopes = factors if with_factors else None, slopes if with_slopes else None
     return Projection(means2d, depths, conics, extents, visible, factors, slopes)
 

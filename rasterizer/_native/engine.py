@@ -43,8 +43,8 @@ def _forward(static: Static, rows: Array, lists: tuple[Array, ...]) -> Blended:
     tiles, pixels = static.grid.num_tiles, static.grid.tile_size**2
     features = jax.ShapeDtypeStruct((tiles, rows.shape[1] - GEOMETRY, pixels), np.float32)
     light, index = (jax.ShapeDtypeStruct((tiles, pixels), kind) for kind in (np.float32, np.int32))
-    written = call("forward", (features, light, index, index), rows, *lists, *_numbers(static))
-    features, light, last, median = written
+    results = features, light, index, index
+    features, light, last, median = call("forward", results, rows, *lists, *_numbers(static))
     return Blended(features, light, last, median if static.with_median else None)
 
 
