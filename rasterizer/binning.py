@@ -62,7 +62,6 @@ def _total(count: Array) -> Array:
     return jnp.where(fits, jnp.sum(count, dtype=jnp.int32), np.iinfo(np.int32).max)
 
 
-@partial(jax.jit, static_argnames="grid")
 def count_pairs(projection: Projection, grid: TileGrid) -> Int32[Array, ""]:
     """The capacity that `bin_splats` needs for this projection; the largest int32 if more."""
     _, size = _tile_boxes(projection, grid)

@@ -37,13 +37,16 @@ def capacity_bucket(needed: int) -> int:
     return power * 3 // 4 if needed <= power * 3 // 4 else power
 
 
+_count_pairs = jax.jit(count_pairs, static_argnames="grid")
+
+
 def count_capacity(projection: Projection, grid: TileGrid) -> int:
     """The bucket for a projection; under `vmap`, the largest of the batch.
 
     Raises:
         UnknownCountError: Inside `jit`, where the number of pairs is not known.
     """
-    count = _largest(count_pairs(jax.lax.stop_gradient(projection), grid))
+    count = _largest(_count_pairs(jax.lax.stop_gradient(projection), grid))
     try:
         return capacity_bucket(int(count))
     except jax.errors.ConcretizationTypeError:
