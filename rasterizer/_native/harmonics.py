@@ -163,10 +163,11 @@ def bands_of(frame):
 
 
 @inlined
-def weights_of(frame, row):
-    """The weights of a row, of which there are one or as many."""
+def weights_of(frame, first, bands):
+    """The weights from a row on, and how far those of the next row are: 0 where all rows have the same."""
     weights = argument(frame, _WEIGHTS)
-    return floats_at(floats(weights), (row if length(weights, 0) > 1 else 0) * length(weights, 1))
+    step = bands if length(weights, 0) > 1 else 0
+    return floats_at(floats(weights), first * step), step
 
 
 @inlined
@@ -175,10 +176,11 @@ def evaluate_strip(frame, first, count):
     strip, basis, bands = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), bands_of(frame)
     read_directions(strip, argument_rows(frame, _DIRS, first, 3), count)
     evaluate_basis(basis, strip, bands)
+    values, width = result_rows(frame, 0, first, CHANNELS), CHANNELS * bands
+    coeffs, (weights, step) = argument_rows(frame, _COEFFS, first, width), weights_of(frame, first, bands)
     for i in range(count):
-        row = first + i
-        values, coeffs = result_rows(frame, 0, row, CHANNELS), argument_rows(frame, _COEFFS, row, CHANNELS * bands)
-        sum_row(values, coeffs, floats_at(basis, i), weights_of(frame, row), bands)
+        value, coefficients = floats_at(values, i * CHANNELS), floats_at(coeffs, i * width)
+        sum_row(value, coefficients, floats_at(basis, i), floats_at(weights, i * step), bands)
 
 
 @inlined
@@ -188,12 +190,19 @@ def differentiate_strip(frame, first, count):
     bands = bands_of(frame)
     read_directions(strip, argument_rows(frame, _DIRS, first, 3), count)
     evaluate_basis(basis, strip, bands)
+    width, cotangents = CHANNELS * bands, argument_rows(frame, _COTANGENTS, first, CHANNELS)
+    coeffs, d_coeffs = argument_rows(frame, _COEFFS, first, width), result_rows(frame, _D_COEFFS, first, width)
+    weights, step = weights_of(frame, first, bands)
     for i in range(count):
-        row = first + i
-        d_coeffs = result_rows(frame, _D_COEFFS, row, CHANNELS * bands)
-        coeffs = argument_rows(frame, _COEFFS, row, CHANNELS * bands)
-        cotangents, weights = argument_rows(frame, _COTANGENTS, row, CHANNELS), weights_of(frame, row)
-        differentiate_row(d_coeffs, floats_at(slopes, i), cotangents, coeffs, floats_at(basis, i), weights, bands)
+        differentiate_row(
+            floats_at(d_coeffs, i * width),
+            floats_at(slopes, i),
+            floats_at(cotangents, i * CHANNELS),
+            floats_at(coeffs, i * width),
+            floats_at(basis, i),
+            floats_at(weights, i * step),
+            bands,
+        )
     differentiate_directions(strip, slopes, bands)
     d_dirs = result_rows(frame, _D_DIRS, first, 3)
     for i in range(count):
