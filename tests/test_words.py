@@ -78,7 +78,7 @@ def names_of(path: Path) -> set[str]:
             names.add(node.arg)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             names.add(node.id)
-    return {name.strip("_") for name in names}
+    return {name.strip("_").lower() for name in names}
 
 
 def test_texts_use_the_terms_of_the_field():

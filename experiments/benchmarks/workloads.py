@@ -25,7 +25,7 @@ WORKLOADS = {
 }
 
 
-class Seen(NamedTuple):
+class ViewSplats(NamedTuple):
     """The splats of one camera, and its image's size in pixels."""
 
     projection: Any
@@ -103,18 +103,18 @@ def scene_named(name: str) -> Scene:
     return heavy_tailed_scene() if name == HEAVY else golden_scene()
 
 
-def workload_views(workload: str | Path, rules: Any) -> Seen:
+def workload_views(workload: str | Path, rules: Any) -> ViewSplats:
     """The splats of a row of the table by its name, or of a run by its folder."""
     import rasterizer
 
     if isinstance(workload, Path):
-        return seen_in_training(workload)
+        return splats_of_run(workload)
     (means, quats, scales, opacities, colors, *cameras), width, height = scene_named(workload)
     projection = rasterizer.project(means, quats, scales, opacities, *cameras, width, height, rules=rules)
-    return Seen(projection, opacities, colors, width, height)
+    return ViewSplats(projection, opacities, colors, width, height)
 
 
-def seen_in_training(run: Path) -> Seen:
+def splats_of_run(run: Path) -> ViewSplats:
     """A finished run's Gaussians from its first training camera, projected as it was trained.
 
     Raises:
@@ -130,7 +130,7 @@ def seen_in_training(run: Path) -> Seen:
     gaussians, camera = jax.tree.map(jnp.asarray, (result.gaussians, result.cameras[result.held_out.index(False)]))
     scene = rendering.drawable(gaussians)
     projection, opacities = rendering.projected(scene, camera, "center")
-    return Seen(projection, opacities, rendering.colors(scene, camera), camera.width, camera.height)
+    return ViewSplats(projection, opacities, rendering.colors(scene, camera), camera.width, camera.height)
 
 
 class Programs(NamedTuple):

@@ -18,7 +18,7 @@ from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh
 from gsjax.training.terms import NEEDS, TERMS, LossTerm, Term, weigh_terms
-from gsjax.training.terms.checking import GAUSSIANS, PAIRS, ROWS, Seen, as_terms, check_term, shapes_of_step
+from gsjax.training.terms.checking import GAUSSIANS, PAIRS, ROWS, TermInputs, as_terms, check_term, shapes_of_step
 
 DATA = frozenset({"depth", "gaussians", "matte", "mesh"})
 """Words of `NEEDS`: what the steps of a refinement have."""
@@ -58,7 +58,7 @@ def view_with_mesh(gaussians: MixedGaussians, face_pairs: Array, camera: Camera,
 
 
 @lru_cache(maxsize=8)
-def _shapes(width: int, height: int) -> Seen:
+def _shapes(width: int, height: int) -> TermInputs:
     """All that any term of a refinement may read, as shapes: of as many triangles as free Gaussians."""
     blank = np.zeros((ROWS, 3))
     mesh = Mesh(blank.astype(np.float32), blank.astype(np.int32), blank.astype(np.uint8))

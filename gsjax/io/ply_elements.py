@@ -23,7 +23,7 @@ _TYPES = {
 _FILTER_COMMENT = re.compile(r"^comment\s+(?:SplatRenderMode:\s*(\w+)|antialiased\s+(\d))\s*$", re.I | re.M)
 _NAMES = {kind: name for name, kind in reversed(_TYPES.items()) if not name.endswith(tuple("12468"))}
 _REST_COUNTS = [3 * ((degree + 1) ** 2 - 1) for degree in range(5)]
-KNOWN = re.compile(r"[xyz]|n[xyz]|f_dc_[0-2]|f_rest_\d+|opacity|scale_[0-2]|rot_[0-3]|red|green|blue|alpha")
+GAUSSIAN_COLUMN = re.compile(r"[xyz]|n[xyz]|f_dc_[0-2]|f_rest_\d+|opacity|scale_[0-2]|rot_[0-3]|red|green|blue|alpha")
 FILTER = re.compile("filter_?3d", re.IGNORECASE)  # of Mip-Splatting, GOF, RaDe-GS and MILo.
 CHANGING = {  # What columns mean without which the others are no Gaussians as they are here.
     "Gaussians that move or fade over time": r"t|scal(e|ing)_t|rot_r_\d+|motion_\d+|omega_\d+|trbf_(center|scale)",
@@ -166,7 +166,7 @@ def filter_column(path: Path, names: Iterable[str]) -> str | None:
 
     InputError names columns that change what the others mean.
     """
-    foreign = [name for name in names if not KNOWN.fullmatch(name)]
+    foreign = [name for name in names if not GAUSSIAN_COLUMN.fullmatch(name)]
     for what, pattern in CHANGING.items():
         if changing := [name for name in foreign if re.fullmatch(pattern, name.lower())]:
             raise InputError(f"{path}: holds {what} ({', '.join(_grouped(changing))}), which are not read")

@@ -13,7 +13,7 @@ import numpy as np
 from gsjax.errors import InputError
 
 MARGIN = 0.15  # of a cell's side, as far as cameras are there: cameras so far beyond the border belong to it too
-SEEN = 0.3  # share of what a photo sees: a cell with at least so much is trained with the photo, wherever its camera is
+LEAST_SHARE_SEEN = 0.3  # of what a photo sees: such a cell is trained with it, wherever its camera is
 FEWEST = 4  # photos that are trained on in a block
 
 
@@ -72,5 +72,5 @@ def _cut(places: np.ndarray, count: int, cell: Cell) -> list[Cell]:
 
 def photos_of(cell: Cell, places: np.ndarray, points_of_photos: Sequence[np.ndarray]) -> np.ndarray:
     """`[V]` bool: the photos that a block is trained on, by `[V, 2]` places of cameras and `[P_v, 2]` of points."""
-    sees = [len(points) > 0 and float(cell.holds(points).mean()) >= SEEN for points in points_of_photos]
+    sees = [len(points) > 0 and float(cell.holds(points).mean()) >= LEAST_SHARE_SEEN for points in points_of_photos]
     return cell.grown(places).holds(places) | np.array(sees)

@@ -22,7 +22,7 @@ SHAPES = {
 }
 COUNTS = [(degree + 1) ** 2 for degree in range(5)]
 T = TypeVar("T", Appearance, Move)
-_SAID = "cameras.json has the cameras after these moves of those of the data set: radians, scene units, a factor"
+_ABOUT = "cameras.json has the cameras after these moves of those of the data set: radians, scene units, a factor"
 _BEHIND = "behind all Gaussians: max(0, SH(direction of the ray in the world) + 0.5), as Gaussians' colours are"
 
 
@@ -51,7 +51,7 @@ def write_photo_effects(run: Path, effects: PhotoEffects) -> None:
     if effects.moves:
         moves = _in_units(effects.moves, read_similarity(run).length_to_world)
         photos = {name: move._asdict() for name, move in moves.items()}
-        json_files.write(run / POSES, {"about": _SAID, "photos": photos})
+        json_files.write(run / POSES, {"about": _ABOUT, "photos": photos})
     if effects.background is not None:
         json_files.write(run / BACKGROUND, {"about": _BEHIND, "sh": effects.background})
 

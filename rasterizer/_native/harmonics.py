@@ -16,7 +16,7 @@ from rasterizer._native.vectors import LANES, absolute, larger, load, square_roo
 BLOCK, STRIP = 512, 32  # rows that a thread takes at a time, and those whose basis functions it holds
 BANDS = {3, 8, 15}  # numbers of the basis functions of degree 1 to 3, and all below
 CHANNELS = 3
-HELD = 15 * STRIP
+BASIS_NUMBERS = 15 * STRIP
 # Of a strip: unit directions and the inverses of their lengths.
 _X, _Y, _Z, _INVERSE = (STRIP * place for place in range(4))
 DIRECTIONS = 4 * STRIP
@@ -173,7 +173,7 @@ def weights_of(frame, first, bands):
 @inlined
 def evaluate_strip(frame, first, count):
     """Writes the values of a strip of rows."""
-    strip, basis, bands = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), bands_of(frame)
+    strip, basis, bands = floats_on_stack(DIRECTIONS), floats_on_stack(BASIS_NUMBERS), bands_of(frame)
     read_directions(strip, argument_rows(frame, _DIRS, first, 3), count)
     evaluate_basis(basis, strip, bands)
     values, width = result_rows(frame, 0, first, CHANNELS), CHANNELS * bands
@@ -186,7 +186,7 @@ def evaluate_strip(frame, first, count):
 @inlined
 def differentiate_strip(frame, first, count):
     """Writes the gradients of a strip of rows."""
-    strip, basis, slopes = floats_on_stack(DIRECTIONS), floats_on_stack(HELD), floats_on_stack(HELD)
+    strip, basis, slopes = floats_on_stack(DIRECTIONS), floats_on_stack(BASIS_NUMBERS), floats_on_stack(BASIS_NUMBERS)
     bands = bands_of(frame)
     read_directions(strip, argument_rows(frame, _DIRS, first, 3), count)
     evaluate_basis(basis, strip, bands)

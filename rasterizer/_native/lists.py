@@ -49,7 +49,7 @@ SPAN = 12  # bytes of a splat's span, which is int32: its bands, from and to, an
 # Of a job: its arguments, the lists and their capacity, offsets, and the needed capacity; the order and its length,
 # where records, spans, counts of tiles and the bands' splats are; then where each band's splats begin.
 _ARGUMENTS, SPLATS, _CAPACITY, OFFSETS, _NEEDED = range(5)
-_ORDER, _SHOWN, _RECORDS, _SPANS, _COUNTS, _MEMBERS, _STARTS = range(5, 12)
+_ORDER, _NUM_VISIBLE, _RECORDS, _SPANS, _COUNTS, _MEMBERS, _STARTS = range(5, 12)
 LIST_WORDS = _STARTS + BANDS + 1
 # Of `sizes`: tiles along a row, rows of tiles, side of a tile in pixels, cameras.
 _ACROSS, _DOWN, _SIDE, _CAMERAS = 0, 1, 2, 3
@@ -159,7 +159,7 @@ def band_of(row, rows):
 @inlined
 def write_chunk(job, chunk):
     """Writes where some of the ordered splats are, one after the other, so that the bands read them in one sweep."""
-    num_visible, order = word(job, _SHOWN), int32s_of(job, _ORDER)
+    num_visible, order = word(job, _NUM_VISIBLE), int32s_of(job, _ORDER)
     means2d, conics = floats(list_argument(job, 0)), floats(list_argument(job, 1))
     extents, cuts, sizes = floats(list_argument(job, 3)), floats(list_argument(job, 5)), int32s(list_argument(job, 7))
     across, down, side = np.float32(sizes[_ACROSS]), np.float32(sizes[_DOWN]), np.float32(sizes[_SIDE])
@@ -194,7 +194,7 @@ def share_out(job):
     tiles = 0
     for band in range(BANDS + 1):
         starts[band] = 0
-    for k in range(word(job, _SHOWN)):
+    for k in range(word(job, _NUM_VISIBLE)):
         span = span_of(job, k)
         tiles += span[2]
         for band in range(span[0], span[1]):
@@ -208,7 +208,7 @@ def share_out(job):
 def write_members(job):
     """Writes the splats of every band, in their order."""
     starts, members = as_int64s(job + 8 * _STARTS), int32s_of(job, _MEMBERS)
-    for k in range(word(job, _SHOWN)):
+    for k in range(word(job, _NUM_VISIBLE)):
         span = span_of(job, k)
         for band in range(span[0], span[1]):
             members[starts[band]] = k
@@ -311,7 +311,7 @@ def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
         num_visible = order_by_depth(
             depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count)
         )
-        set_word(job, _SHOWN, num_visible)
+        set_word(job, _NUM_VISIBLE, num_visible)
         done = share(frame, write_chunk, job, CHUNKS)
     if done:
         set_word(job, _NEEDED, share_out(job))

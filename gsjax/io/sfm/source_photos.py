@@ -23,7 +23,7 @@ from gsjax.io.sfm.focal_lengths import CameraKey, read_focal
 from gsjax.io.sfm.gravity import Vector, read_gravity
 
 _MASKS = "masks", "mask"  # what the folder may be called, in any case
-_MADE = "sparse", "report.html"  # in data sets, runs and scans: their pictures are no photos
+_MARKS_OF_OUTPUT = "sparse", "report.html"  # in data sets, runs and scans: their pictures are no photos
 # Nor are pictures in folders of these names.
 _OTHERS = {*REDUCED, "depth", "depths", "confidence", "normals", "sky", "thumbnails", "thumbs", "@eadir"}
 _MAKE, _MODEL = 0x010F, 0x0110
@@ -217,7 +217,7 @@ def _scan(folder: Path) -> tuple[Path, list[Path], set[Path]]:
     root = inner if inner.is_dir() and not any(map(_is_photo, folder.glob("*"))) else folder
     paths = list(root.rglob("*"))
     derived = {path for path in paths if path.name.casefold() in _OTHERS and path.is_dir()}
-    derived |= {path.parent for path in paths if path.name in _MADE} - {root}
+    derived |= {path.parent for path in paths if path.name in _MARKS_OF_OUTPUT} - {root}
     others = derived | {path for path in paths if path.name.casefold() in _MASKS and path.is_dir()}
     files = [path for path in paths if os.path.isfile(path) and others.isdisjoint(path.parents)]
     visible_files = [file for file in files if not any(part.startswith(".") for part in file.relative_to(root).parts)]

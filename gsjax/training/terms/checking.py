@@ -23,11 +23,13 @@ from gsjax.training.terms.multi_view import render_neighbor
 DATA_NEEDS = tuple(word for word in NEEDS if word != "gaussians")  # which are always at hand
 ROWS, BANDS, PAIRS, SIZE = 4096, 15, 4096, (64, 64)  # of what terms are tried on; sizes of runs come from their photos
 
-Seen = tuple[Gaussians, View, Batch]
+TermInputs = tuple[Gaussians, View, Batch]
 """What a term reads; shapes and dtypes only."""
 
 
-def as_terms(terms: Mapping[str, Term | Callable[..., Array]], shapes: Callable[[int, int], Seen]) -> dict[str, Term]:
+def as_terms(
+    terms: Mapping[str, Term | Callable[..., Array]], shapes: Callable[[int, int], TermInputs]
+) -> dict[str, Term]:
     """The same with a `Term` for every bare function: it needs what it cannot be computed without.
 
     `shapes` is (width, height) -> all that a term may read, such as `shapes_of_training`.
@@ -38,7 +40,7 @@ def as_terms(terms: Mapping[str, Term | Callable[..., Array]], shapes: Callable[
     return {name: term if isinstance(term, Term) else _as_term(name, term, shapes) for name, term in terms.items()}
 
 
-def _as_term(name: str, loss: Any, shapes: Callable[[int, int], Seen]) -> Term:
+def _as_term(name: str, loss: Any, shapes: Callable[[int, int], TermInputs]) -> Term:
     if not callable(loss):
         raise InputError(f"terms.{name} is {loss!r}, expected a function of (Gaussians, View, Batch) or a Term of one")
     missing = _missing(loss, shapes(*SIZE), ())
@@ -46,7 +48,7 @@ def _as_term(name: str, loss: Any, shapes: Callable[[int, int], Seen]) -> Term:
     return Term(loss, {"gaussians", *(missing or ())})
 
 
-def check_term(each: LossTerm, everything: Seen) -> None:
+def check_term(each: LossTerm, everything: TermInputs) -> None:
     """Try a term with what it needs, and with nothing else of what its steps may show.
 
     Raises:
@@ -84,7 +86,7 @@ def _in_words(error: Exception) -> str:
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 
 
-def _missing(loss: Callable[..., Any], everything: Seen, needs: Iterable[str]) -> tuple[str, ...] | None:
+def _missing(loss: Callable[..., Any], everything: TermInputs, needs: Iterable[str]) -> tuple[str, ...] | None:
     """What a term lacks in its needs; None where it cannot be computed with everything."""
     own = frozenset(needs)
     if _error(loss, _with(everything, own)) is None:
@@ -99,7 +101,7 @@ def _missing(loss: Callable[..., Any], everything: Seen, needs: Iterable[str]) -
     return tuple(missing)
 
 
-def _error(loss: Callable[..., Any], arguments: Seen) -> Exception | None:
+def _error(loss: Callable[..., Any], arguments: TermInputs) -> Exception | None:
     """Why a term cannot be computed; None: it can. What a user's function raises may be anything."""
     try:
         jax.eval_shape(loss, *arguments)
@@ -108,7 +110,7 @@ def _error(loss: Callable[..., Any], arguments: Seen) -> Exception | None:
     return None
 
 
-def _with(everything: Seen, needs: frozenset[str]) -> Seen:
+def _with(everything: TermInputs, needs: frozenset[str]) -> TermInputs:
     """What a step shows a term that has these needs."""
     gaussians, view, batch = everything
     of_data = {"normals": "normals", "depth": "measured", "trust": "measured", "sky": "sky", "matte": "matte"}
@@ -130,7 +132,7 @@ GAUSSIANS = Gaussians(
 
 def shapes_of_step(
     gaussians: Any, render: Callable[[Any, Batch, Array], View], width: int, height: int, **maps: Any
-) -> Seen:
+) -> TermInputs:
     """What a term reads in a step that renders Gaussians so, (Gaussians, decoded photo, colour behind them) -> view.
 
     `maps` are the fields of `Batch` in addition to photo and matte.
@@ -152,7 +154,7 @@ def shapes_of_step(
 
 
 @lru_cache(maxsize=8)
-def shapes_of_training(width: int, height: int, depth_mode: DepthReading = "plane") -> Seen:
+def shapes_of_training(width: int, height: int, depth_mode: DepthReading = "plane") -> TermInputs:
     """All that any term of a training may read, as shapes."""
     how = {"capacity": PAIRS, "with_depth": True, "depth_mode": depth_mode, "with_axes": True}
 

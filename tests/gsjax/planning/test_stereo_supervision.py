@@ -19,7 +19,7 @@ DEPTH[:, 24:] = 3.0
 NORMALS = np.zeros((36, 48, 3), np.int8)
 NORMALS[:, 24:] = [0, 0, -127]
 MAPS = {SCENE.frames[0].name: StereoMap(DEPTH, NORMALS)}
-ASKED = Supervision(stereo_weight=0.3)
+WITH_STEREO = Supervision(stereo_weight=0.3)
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def swept(monkeypatch):
 
 
 def test_depth_is_that_of_the_photo_at_its_size_and_nothing_elsewhere(swept):
-    supervision = stereo_supervision(SCENE, ASKED, None)
+    supervision = stereo_supervision(SCENE, WITH_STEREO, None)
     assert swept == [100]
     depths = supervision.depths(SCENE.frames)
     assert depths is not None
@@ -53,7 +53,7 @@ def test_depth_is_that_of_the_photo_at_its_size_and_nothing_elsewhere(swept):
 
 @pytest.mark.parametrize(
     ("requested", "vanilla"),
-    [(Supervision(), False), (ASKED, True), (replace(ASKED, normals="folder", depth="depth"), False)],
+    [(Supervision(), False), (WITH_STEREO, True), (replace(WITH_STEREO, normals="folder", depth="depth"), False)],
     ids=["not asked for", "vanilla", "maps of both are given"],
 )
 def test_nothing_is_compared_where_nothing_asks_for_it(swept, requested, vanilla):
@@ -62,9 +62,9 @@ def test_nothing_is_compared_where_nothing_asks_for_it(swept, requested, vanilla
 
 
 def test_a_resumed_run_reads_its_own_maps_or_has_none_and_compares_nothing(swept, tmp_path):
-    assert not stereo_supervision(SCENE, ASKED, tmp_path).maps
+    assert not stereo_supervision(SCENE, WITH_STEREO, tmp_path).maps
     write_stereo_maps(tmp_path, MAPS)
-    supervision = stereo_supervision(SCENE, ASKED, tmp_path)
+    supervision = stereo_supervision(SCENE, WITH_STEREO, tmp_path)
     assert not swept and list(supervision.maps) == list(MAPS)
     np.testing.assert_array_equal(supervision.maps[SCENE.frames[0].name].depth, DEPTH)
 
