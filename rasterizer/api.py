@@ -292,7 +292,9 @@ def rasterization(
     projected = tuple(projected.items())
     if capacity is None and backend != "reference":
         try:
-            capacity = count_capacity(_splats(jax.lax.stop_gradient(arrays), grid, projected), grid)
+            # No other array changes the count, and each of another shape would compile it again.
+            shapes = arrays._replace(colors=None, backgrounds=None, masks=None, means2d_probe=None, absgrad=None)
+            capacity = count_capacity(_splats(jax.lax.stop_gradient(shapes), grid, projected), grid)
         except UnknownCountError:
             if zeros is not None or not lists_by_itself(backend):
                 raise

@@ -39,11 +39,11 @@ def choose() -> tuple[Backend, str | None]:
         reason = _why_no_loops()
         return ("xla", reason) if reason else ("native", None)
     reason = why_no_kernels(device)
-    return ("xla", _logged(f"the rasterizer runs in jnp: {reason}")) if reason else ("pallas", None)
+    return ("xla", _log_once(f"the rasterizer runs in jnp: {reason}")) if reason else ("pallas", None)
 
 
 @cache
-def _logged(reason: str) -> str:
+def _log_once(reason: str) -> str:
     """The reason, logged the first time."""
     logger.warning("%s", reason)
     return reason
@@ -73,7 +73,7 @@ def _why_no_loops() -> str | None:
     try:
         load_loops()
     except ImportError as error:
-        return _logged(f"the CPU's rasterizer runs in jnp, several times slower than its native loops: {error}")
+        return _log_once(f"the CPU's rasterizer runs in jnp, several times slower than its native loops: {error}")
     return None
 
 

@@ -52,6 +52,10 @@ def rough_products(function, *arguments):
     ]
 
 
+def test_a_plain_product_in_a_loop_is_noticed():
+    assert len(rough_products(jax.jit(lambda x: jax.lax.fori_loop(0, 2, lambda _, y: y @ x, x)), jnp.eye(3))) == 1
+
+
 @pytest.mark.parametrize("backend", ["xla", "pallas"])
 def test_the_rasterizer(backend):
     scene = rasterizer_scene(sh_degree=2)

@@ -39,7 +39,7 @@ from gsjax.training.terms import LossTerm, comparable_terms, needs
 from gsjax.training.terms.mesh import neighboring_faces
 
 WEIGHTS = MappingProxyType({**PLAIN, "normal_consistency": 0.1})
-"""Weights of the loss terms that a refinement has unless it says otherwise."""
+"""Default weights of the loss terms of a refinement."""
 VERTICES_FINAL = 1.6e-6  # the vertices' last rate, in the unit of `RefinementRates.vertices` (SuGaR, refine.py)
 
 

@@ -37,7 +37,8 @@ def appearances(reports: Mapping[str, Any]) -> dict[str, Appearance]:
 
 def light_range(effects: Effects, frames: Sequence[Frame]) -> tuple[np.ndarray, np.ndarray]:
     """`[V, 3]` what each photo multiplies display-coded light by, at most and at least, as the effects start."""
-    looks = appearances(reports(effects, {name: effect.initial for name, effect in effects.items()}))
+    lit = {name: effect for name, effect in effects.items() if effect.light}
+    looks = appearances(reports(lit, {name: effect.initial for name, effect in lit.items()}))
     every = [looks.get(frame.name, Appearance()) for frame in frames]
     sizes = np.array([(frame.width, frame.height) for frame in frames])
     centers, focals = (np.array([get(frame.K) for frame in frames]) for get in (lambda K: K[:2, 2], np.diagonal))

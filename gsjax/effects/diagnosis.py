@@ -55,4 +55,4 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
     of_masks = parallax.compare(observations, sky.regions(observations, masks), gains)
     findings = Findings(observations, gains, steps, masks, of_masks)
     effects = {name: kind.judge(findings) for name, kind in effect_kinds().items()}
-    return Diagnosis(effects, observations, gains, steps, masks if sky.judge(findings).on else {}, masks)
+    return Diagnosis(effects, observations, gains, steps, masks if effects["sky"].on else {}, masks)

@@ -37,7 +37,7 @@ class Findings(NamedTuple):
 class Evidence(NamedTuple):
     """The report line of an effect."""
 
-    on: bool  # the scene calls for it
+    on: bool  # the scene requires it
     value: float | None  # larger speaks more for the effect; None: the scene has no means to judge
     unit: str
     noise: float | None  # what `value` may be off by, or what it is where the effect is absent
@@ -124,6 +124,8 @@ def simulations(
     effects = {}
     for name, kind in kinds.items():
         if kind.simulate and name in names:
-            of_others = sum(light for other, light in explained.items() if other != name)
-            effects[name] = kind.simulate(replace(inputs, explained=of_others), rate)
+            of_others = [light for other, light in explained.items() if other != name]
+            # The same inputs where nothing is explained: their fit is made once.
+            own = replace(inputs, explained=sum(of_others)) if of_others else inputs
+            effects[name] = kind.simulate(own, rate)
     return effects

@@ -56,6 +56,11 @@ def texture_colors(textured: TexturedMesh) -> Shading:
     return shading
 
 
+def shading_of(textured: TexturedMesh | None) -> Shading:
+    """The shading by the texture; of a mesh without one, by the colours of its vertices."""
+    return vertex_colors if textured is None else texture_colors(textured)
+
+
 def texels_around(textured: TexturedMesh, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
     """`[R, 4]` rows of the flat texture that a bilinear reading mixes at each hit, and their weights."""
     atlas, (height, width) = textured.atlas, textured.texture.shape[:2]

@@ -55,10 +55,12 @@ def convert(
     if min_opacity is not None and not 0 <= min_opacity <= 1:
         raise InputError(f"min_opacity={min_opacity:g} is not between 0 and 1")
     gaussians = load_gaussians(source)
-    is_kept = _are_wanted(gaussians, crop, min_opacity)
+    is_kept = _rows_to_keep(gaussians, crop, min_opacity)
     if not is_kept.any() and len(is_kept):
         raise InputError(f"{source}: none of its {len(is_kept)} Gaussians is left by crop and min_opacity")
-    remaining = up_to_degree(take(gaussians, is_kept), 4 if sh_degree is None else sh_degree)
+    remaining = take(gaussians, is_kept)
+    if sh_degree is not None:
+        remaining = up_to_degree(remaining, sh_degree)
     place = stated_place(source / "gaussians.ply" if source.is_dir() else source)
     clipped = format_of(out).write(out, remaining, place)
     stored = stored_similarity(out)
@@ -73,15 +75,15 @@ def convert(
     }
 
 
-def _are_wanted(gaussians: Gaussians, crop: Sequence[float] | None, min_opacity: float | None) -> np.ndarray:
+def _rows_to_keep(gaussians: Gaussians, crop: Sequence[float] | None, min_opacity: float | None) -> np.ndarray:
     """`[N]` bool: which Gaussians are in the box and opaque enough."""
-    is_wanted = np.ones(gaussians.num_gaussians, bool)
+    is_kept = np.ones(gaussians.num_gaussians, bool)
     if crop is not None:
         means = np.asarray(gaussians.means)
-        is_wanted &= np.all((means >= np.array(crop[:3])) & (means <= np.array(crop[3:])), axis=1)
+        is_kept &= np.all((means >= np.array(crop[:3])) & (means <= np.array(crop[3:])), axis=1)
     if min_opacity is not None:
-        is_wanted &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
-    return is_wanted
+        is_kept &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
+    return is_kept
 
 
 def up_to_degree(gaussians: Gaussians, sh_degree: int) -> Gaussians:

@@ -10,7 +10,7 @@ from typing import Any
 from gsjax.effects.alignment import align as aligned_camera
 from gsjax.errors import NoSurfaceError
 from gsjax.meshing.export import read_mesh, read_textured
-from gsjax.meshing.pictures import Shading, texture_colors, vertex_colors
+from gsjax.meshing.pictures import shading_of
 from gsjax.meshing.ray_queries import closest_on_mesh
 from gsjax.metrics import geometry
 from gsjax.metrics.lpips import STANDARD, lpips_measures
@@ -88,16 +88,11 @@ def evaluate(
         scores = score_images(result.gaussians, frames, background, photo_effects=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     if local_mesh is not None:
-        shading = _shading(mesh)
+        shading = shading_of(read_textured(mesh))
         figures |= score_appearance(local_mesh, shading, result.gaussians, scene.held_out_frames, background, near)
     figures["gaussians"] = result.gaussians.num_gaussians
     figures |= {name: folder.manifest.get(name) for name in ("train_seconds", "steps")}
     return figures if scene.truth is None else figures | _surface_scores(run, result, scene, local_mesh)
-
-
-def _shading(mesh: str | Path) -> Shading:
-    textured = read_textured(mesh)
-    return vertex_colors if textured is None else texture_colors(textured)
 
 
 def _surface_scores(run: Path, result: Result, scene: Scene, local_mesh: Mesh | None) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from gsjax.io.machine import require_memory
 from gsjax.io.temporary_files import sweep_beside
 from gsjax.io.video_writer import GIF_BYTES, SUFFIXES, is_video, write_video
 from gsjax.meshing.export import is_mesh_file, read_mesh, read_textured
-from gsjax.meshing.pictures import smooth_pictures, texture_colors, vertex_colors
+from gsjax.meshing.pictures import shading_of, smooth_pictures
 from gsjax.rendering import gallery
 from gsjax.rendering.gallery import Picture
 from gsjax.report.pictures import depth_picture, depth_span, surface_picture
@@ -175,7 +175,7 @@ def _open(source: Path, up: tuple[float, float, float] | None) -> _Source:
 def _open_mesh(source: Path, up: np.ndarray) -> _Source:
     textured = read_textured(source)
     mesh = read_mesh(source) if textured is None else textured.mesh
-    shading = vertex_colors if textured is None else texture_colors(textured)
+    shading = shading_of(textured)
     similarity = of_points(mesh.vertices)
     mesh = similarity.mesh_to_local(mesh)
 

@@ -92,7 +92,7 @@ class ChosenEffects:
         return PhotoEffects(appearances(learned), learned.get("moves", {}), learned.get("background"))
 
 
-class Decision(NamedTuple):
+class EffectDecision(NamedTuple):
     """Which of the effects that "auto" proposes are simulated."""
 
     proposed: tuple[str, ...] = ()
@@ -133,7 +133,7 @@ def choose_effects(
     diagnosis = _with_masks(inspection.diagnosis or diagnose_scene(inspection.scene), skies)
     required = {*named_effects(request), *((SKY,) if with_sky or skies is not None else ())}
     diagnosis = _without_needless(diagnosis, plan, _detected(diagnosis) if request == AUTO else required)
-    decision = Decision()
+    decision = EffectDecision()
     if request == AUTO:
         proposed = tuple(name for name in _detected(diagnosis) if name not in required)
         decision = _decide(diagnosis, proposed, validate, before)
@@ -188,11 +188,11 @@ def _is_needless(name: str, diagnosis: Diagnosis, plan: Plan, names: Collection[
 
 def _decide(
     diagnosis: Diagnosis, proposed: tuple[str, ...], validate: Validate | None, before: Mapping[str, Any] | None
-) -> Decision:
+) -> EffectDecision:
     """Decide by the evidence where it is certain, else by validation; `before` has the decision of a resumed run."""
     if before is not None:
         validated = {name: ValidationGain(**each) for name, each in before.get("validated", {}).items()}
-        return Decision(proposed, frozenset(before["simulated"]), validated)
+        return EffectDecision(proposed, frozenset(before["simulated"]), validated)
     kinds, evidence = effect_kinds(), diagnosis.effects
     certain = {name for name in proposed if evidence[name].is_certain}
     certain |= {behind for name in certain if (behind := kinds[name].uncovers)}
@@ -202,10 +202,10 @@ def _decide(
     if not validated:
         alone = [name for name in doubtful if kinds[name].on_evidence]
         passed = {name for name in alone if (evidence[name].value or 0) > STRICTER * evidence[name].threshold}
-    return Decision(proposed, frozenset(certain | passed), validated)
+    return EffectDecision(proposed, frozenset(certain | passed), validated)
 
 
-def _with_notes(diagnosis: Diagnosis, decision: Decision) -> Diagnosis:
+def _with_notes(diagnosis: Diagnosis, decision: EffectDecision) -> Diagnosis:
     """The diagnosis with the validated gain and the decision in the note of each proposed effect."""
     uncovered = {kind.uncovers: name for name, kind in effect_kinds().items() if name in decision.selection}
     noted, gains = {}, decision.validated
@@ -220,7 +220,7 @@ def _with_notes(diagnosis: Diagnosis, decision: Decision) -> Diagnosis:
 
 
 def _selected(
-    diagnosis: Diagnosis, plan: Plan, required: Collection[str], decision: Decision
+    diagnosis: Diagnosis, plan: Plan, required: Collection[str], decision: EffectDecision
 ) -> tuple[tuple[str, ...], Masks]:
     """The effects whose numbers training learns, and where photos show sky: a sky enables what its term uncovers."""
     selection, masks = {*required, *decision.selection}, {}
@@ -233,7 +233,7 @@ def _selected(
 
 
 def _report(
-    inspection: Inspection, diagnosis: Diagnosis, decision: Decision, names: tuple[str, ...], masks: Masks
+    inspection: Inspection, diagnosis: Diagnosis, decision: EffectDecision, names: tuple[str, ...], masks: Masks
 ) -> dict[str, Any]:
     """Print which effects are simulated and which of the proposed ones are not; the record of the manifest."""
     simulated, validated = [*names, *((SKY,) if masks else ())], decision.validated

@@ -96,10 +96,10 @@ def test_a_loss_an_sdf_estimator_and_a_densification_rule_of_ones_own(loaded, vi
     assert float(last["flat"]) < 0.92 * float(first["flat"])
 
 
-@pytest.mark.parametrize("backend", ["native", "xla"])
+@pytest.mark.parametrize("backend", ["native", "xla", pytest.param("pallas", marks=pytest.mark.long)])
 def test_jit_grad_and_vmap_over_cameras_and_over_gaussians_are_the_reference_one_by_one(loaded, views, backend):
     def error(gaussians, camera, photo, backend):
-        capacity = 4096 if backend == "xla" else None
+        capacity = 4096 if backend in ("xla", "pallas") else None
         return jnp.mean((gsjax.render(gaussians, camera, capacity=capacity, backend=backend).colors - photo) ** 2)
 
     def stacked(*trees):

@@ -19,7 +19,7 @@ TPU = SimpleNamespace(platform="tpu", device_kind="TPU v5e")
 @pytest.fixture
 def on(monkeypatch):
     """A function that makes a device jax's default one."""
-    engines._logged.cache_clear()
+    engines._log_once.cache_clear()
     return lambda device: monkeypatch.setattr(engines, "default_device", lambda: device)
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import cloud, in_float64, loss
+from scenes import cloud, in_float64, loss, render
 from tolerances import assert_close
 
 SCENE = cloud()
@@ -63,3 +63,9 @@ def test_the_dtype_of_the_gaussians_decides_and_float64_is_the_references_alone(
     for scene, name, dtype in ((finer, "means", own), (cameras, "viewmats", jnp.float32)):
         image, slopes = jax.eval_shape(partial(image_and_gradients, names=(name,), backend=backend), scene)
         assert image.dtype == dtype and slopes[name].dtype == jnp.float64
+
+
+def test_the_native_loops_render_float64_as_float32():
+    expected = render(SCENE, backend="native")[0]
+    with jax.enable_x64(True):
+        np.testing.assert_array_equal(render(in_float64(SCENE), backend="native")[0], expected)

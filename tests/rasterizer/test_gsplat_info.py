@@ -43,6 +43,12 @@ def test_the_lists_draw_the_same_image_through_the_stage_of_gsplat():
         info["means2d"], info["conics"], colors, info["opacities"], 37, 29, 8, *lists, backend="native"
     )
     assert_close(outputs, (image, alphas))
+    masks = jnp.arange(40).reshape(2, 4, 5) % 3 > 0
+    expected = render(PAIR, **OPTIONS, rasterize_mode="antialiased", masks=masks)[:2]
+    outputs = rasterizer.rasterize_to_pixels(
+        info["means2d"], info["conics"], colors, info["opacities"], 37, 29, 8, *lists, masks, backend="native"
+    )
+    assert_close(outputs, expected)
 
 
 def test_tiles_of_a_splat_are_those_that_list_it_and_of_its_box():

@@ -91,7 +91,7 @@ def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, ca
 
     monkeypatch.setattr(engines, "load_loops", missing)
     engines._why_no_loops.cache_clear()
-    engines._logged.cache_clear()
+    engines._log_once.cache_clear()
     try:
         assert [engines.resolve("auto") for _ in range(3)] == ["xla"] * 3
         assert [record.message for record in caplog.records] == [

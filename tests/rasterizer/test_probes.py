@@ -40,7 +40,12 @@ LOOPS = LOOPS if "native" in BACKENDS else []
 
 @pytest.mark.parametrize(
     ("backend", "channels", "front", "count"),
-    [*LOOPS, ("xla", 7, FRONT, 4), pytest.param("pallas", 7, FRONT, 4, marks=pytest.mark.long)],
+    [
+        *LOOPS,
+        ("xla", 3, None, 2),
+        ("xla", 7, FRONT, 4),
+        *(pytest.param("pallas", 7, front, 4, marks=pytest.mark.long) for front in (None, FRONT)),
+    ],
 )
 def test_a_probe_has_the_gradient_of_a_channel_of_zeros(backend, channels, front, count):
     """`listing`: the native loops list splats by themselves. 15 and 2 channels are over those of one pass."""

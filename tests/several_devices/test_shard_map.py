@@ -68,8 +68,9 @@ def images_and_gradients(backend, mesh=None):
         of_device = sum(jnp.mean(part**2) for part in images)
         return of_device if mesh is None else jax.lax.pmean(of_device, "cameras"), images
 
-    differentiated = jax.grad(mean_loss, has_aux=True)
-    run = jax.jit(differentiated) if mesh is None else over_devices(differentiated, out=(SAME, BY_CAMERA))
+    differentiated = jax.grad(mean_loss, (0, 1), has_aux=True)
+    out = (SAME, BY_CAMERA), BY_CAMERA
+    run = jax.jit(differentiated) if mesh is None else over_devices(differentiated, out=out)
     return run(scene(sh=4), cameras()[0])
 
 

@@ -50,6 +50,8 @@ def test_a_sky_adds_its_term_to_every_step_and_without_one_it_is_nowhere():
     assert plan(SETTINGS).with_effects(("background",)).phases == without.phases
     with pytest.raises(InputError, match="schedule.phases.surface.weights.sky: the effect sky adds"):
         plan(SETTINGS.replace(schedule={"phases": (Phase("surface", 10, Weights(sky=0.2)),)}))
+    with pytest.raises(InputError, match="surface.weights.normal_consistency: only a refinement has a mesh"):
+        plan(SETTINGS.replace(schedule={"phases": (Phase("surface", 10, Weights(normal_consistency=0.2)),)}))
 
 
 def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():

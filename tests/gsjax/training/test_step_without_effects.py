@@ -1,5 +1,6 @@
 """What is off is absent: a step without effects is the program of a step in which they do nothing."""
 
+import inspect
 import re
 
 import jax
@@ -29,8 +30,10 @@ NOTHING = {
 
 
 @pytest.mark.parametrize(("rule", "terms"), [("adc", PHOTOS), ("error", PHOTOS), (None, ENTROPY)])
-def test_a_step_without_effects_is_that_of_a_program_that_never_heard_of_them(rule, terms, monkeypatch):
+def test_a_step_without_effects_is_that_in_which_they_do_nothing(rule, terms, monkeypatch):
     """Nor of Gaussians that are left out."""
+    called = set(re.findall(r"simulation\.(\w+)\(", inspect.getsource(step)))
+    assert called | {"move_camera"} == NOTHING.keys(), "a new function of effects does nothing below"
     camera = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 32))
     (target,) = batches.read_batches(photographed(cloud(200, seed=5), [camera])).views
     state = initial_state(cloud(180, capacity=200, seed=1), OPTIMIZER, DENSIFICATION_RULES[rule or "adc"])
