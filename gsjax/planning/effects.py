@@ -13,7 +13,7 @@ from gsjax.effects import sky
 from gsjax.effects.appearance import Appearance, appearances, light_range
 from gsjax.effects.diagnosis import Diagnosis, diagnose
 from gsjax.effects.exposure import gains_of_tracks
-from gsjax.effects.kinds import Masks, Rate, StartInputs, effect_kinds, simulations
+from gsjax.effects.kinds import Evidence, Masks, Rate, StartInputs, effect_kinds, simulations
 from gsjax.effects.observations import observe
 from gsjax.effects.simulation import Effects, EffectState, learning_rate, reports
 from gsjax.errors import InputError
@@ -25,6 +25,7 @@ from gsjax.settings import AUTO, EFFECTS, NONE, named_effects
 from gsjax.training.plan import Plan
 
 STRICTER = 1.5  # times the threshold, which evidence alone must exceed
+STRONG = 3.0  # times the threshold: evidence by which any gain is enough, as validation runs are short and small
 SKY = "sky"  # the effect that the setting `effects.sky` requires or has masks of
 _PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
 
@@ -198,11 +199,15 @@ def _decide(
     certain |= {behind for name in certain if (behind := kinds[name].uncovers)}
     doubtful = [name for name in proposed if name not in certain]
     validated = validate(diagnosis.observations, doubtful) if validate and doubtful else {}
-    passed = {name for name, gain in validated.items() if gain.passes}
+    passed = {name for name, gain in validated.items() if gain.passes or (gain.gain > 0 and _is_strong(evidence[name]))}
     if not validated:
         alone = [name for name in doubtful if kinds[name].on_evidence]
         passed = {name for name in alone if (evidence[name].value or 0) > STRICTER * evidence[name].threshold}
     return EffectDecision(proposed, frozenset(certain | passed), validated)
+
+
+def _is_strong(evidence: Evidence) -> bool:
+    return (evidence.value or 0) > STRONG * evidence.threshold
 
 
 def _with_notes(diagnosis: Diagnosis, decision: EffectDecision) -> Diagnosis:
@@ -212,7 +217,8 @@ def _with_notes(diagnosis: Diagnosis, decision: EffectDecision) -> Diagnosis:
     for name in decision.proposed:
         evidence, verdict = diagnosis.effects[name], "simulated" if name in decision.selection else "not simulated"
         why = "not validated, the run is too short"
-        why = f"gains {gains[name]} in a validation run (needs {WORTH:g})" if name in gains else why
+        needs = "any gain, on strong evidence" if _is_strong(evidence) else f"{WORTH:g}"
+        why = f"gains {gains[name]} in a validation run (needs {needs})" if name in gains else why
         why = "certain without validation" if evidence.is_certain else why
         why = f"part of the {uncovered[name]}" if name in uncovered else why
         noted[name] = evidence._replace(note=f"{verdict}: {why}; {evidence.note}")

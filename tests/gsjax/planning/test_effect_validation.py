@@ -142,10 +142,13 @@ def test_both_variants_are_scored_on_the_same_pixels():
     assert compared(worse, better, photos, [~each for each in whole], blocks) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize(("gain", "simulated"), [(0.09, False), (0.11, True)])
-def test_evidence_proposes_and_validation_decides(gain, simulated, capsys):
+@pytest.mark.parametrize(
+    ("darker", "gain", "simulated"), [(0.2, 0.09, False), (0.2, 0.11, True), (0.4, 0.01, True), (0.4, -0.01, False)]
+)
+def test_evidence_proposes_and_validation_decides(darker, gain, simulated, capsys):
+    """Evidence over three times its threshold, 0.3 EV in a corner, needs any gain, less of it 0.1 dB."""
     true = drawn_gains(wall(), 0.3)
-    photos = relit(wall(), lambda index, frame, x, y: true[index] - 0.4 * radii2(frame, x, y))
+    photos = relit(wall(), lambda index, frame, x, y: true[index] - darker * radii2(frame, x, y))
     calls = []
 
     def validate(observations, proposed):
