@@ -70,7 +70,7 @@ rasterizer: $(INSTALLED)-test
 	$(BIN)/python -m pytest $(IN_PARALLEL) $(MATRIX_TESTS)
 
 # The result files whose tables the pages have, in some hours on two cores. What is there of the same product is not run
-# again. DATA holds the scenes fox, fern, bunny_plane, and the photos of the room with its truth.
+# again. DATA holds the scenes fox, fern, kitchen, bunny_plane, and the photos of the room with its truth.
 DATA ?= ../shared/data
 MEASURED = runs/measured/$(shell git rev-parse --short HEAD:gsjax)
 
@@ -81,7 +81,7 @@ measure: $(INSTALLED)-test
 	$(BIN)/python experiments/effect_detection.py \
 		--scene fern=$(DATA)/fern/undistorted@2 built_in=$(MEASURED)/demo/scene bunny=$(DATA)/bunny_plane
 	$(BIN)/python experiments/accuracy_vs_time.py --out $(MEASURED)/presets --scene room=$(MEASURED)/room@2 \
-		fox=$(DATA)/fox/undistorted bunny=$(DATA)/bunny_plane
+		fox=$(DATA)/fox/undistorted kitchen=$(DATA)/kitchen bunny=$(DATA)/bunny_plane
 	$(BIN)/python experiments/compare.py ablation --scene $(MEASURED)/demo/scene --out $(MEASURED)/ablation --seeds 3 --record
 	$(BIN)/python experiments/compare.py settings --scene $(MEASURED)/demo/scene --out $(MEASURED)/settings --seeds 3 --record
 

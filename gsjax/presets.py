@@ -76,8 +76,8 @@ BALANCED = config.merge(
     _OWN,
     {
         "model": {"max_gaussians": 120_000, "stereo_points": 30_000},
-        "schedule": {"sh_every": 700, "phases": _phases(1500, 1500, 2500, 1500, sdf_normal=0.05)},
-        "density": {"stop": 2700},
+        "schedule": {"sh_every": 700, "phases": _phases(1500, 500, 1000, 500, sdf_normal=0.05)},
+        "density": {"stop": 1500},
     },
 )
 ACCURATE = config.merge(

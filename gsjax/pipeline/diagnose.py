@@ -12,7 +12,16 @@ from gsjax.io import json_files, normal_folders
 from gsjax.io.files import atomic_path
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import diagnose_scene
-from gsjax.planning.sparse_views import FAR_APART, FEW, FEWEST, SHORTEST, angle_between_photos, is_tried
+from gsjax.planning.sparse_views import (
+    FAR_APART,
+    FEW,
+    FEWEST,
+    LONG,
+    SHORTEST,
+    angle_between_photos,
+    is_tried,
+    needs_dropout,
+)
 from gsjax.report.figures import new_figure
 from gsjax.runs.normal_filter import score_folder
 from gsjax.runs.outputs import require_apart
@@ -96,6 +105,8 @@ def apart_line(apart: dict[str, Any]) -> str:
     )
     if is_tried:
         return f"{line}: presets try whether holding training back helps (sparse_views)"
+    if needs_dropout(photos, angle, LONG):
+        return f"{line}: runs of {LONG:,} steps and more leave Gaussians out of every step (sparse_views)"
     return f"{line}; presets try to hold training back with {FEWEST} to {FEW}, or from {FAR_APART:g} degrees on"
 
 

@@ -14,11 +14,14 @@ from gsjax.training.plan import Plan
 
 FAR_APART = 20.0  # degrees
 FEW = 15  # photos
+APART, SOME = 10.0, 30  # degrees from which, and photos up to which dropout alone helps
 FEWEST = 5  # photos of a validation run
 SHORTEST = 600  # steps of a run: for a shorter one validation takes too much time, and the angle decides
+LONG = 3000  # steps of a run that overfits them; dropout blurs shorter ones
 FEWER = 2  # times, Gaussians: each has more pixels to fit, of more photos
 SMOOTH = {"depth_normal": 0.05}  # what is added to every phase: Gaussians are along the surface that they show
 LEFT_OUT = 0.2  # share of the Gaussians that each step leaves out, unless the settings name another
+LEFT_OUT_ALONE = 0.3  # the same, where nothing else changes
 STEREO_SHARE = 9  # One in so many Gaussians starts from multi-view stereo.
 POINTS = 2000  # whose angles are measured
 SURE = 2.0  # standard errors that a significant difference is away from zero
@@ -74,6 +77,7 @@ class Decision:
     held_back: bool
     depth: float | None = None  # log of the ratio of depth errors, regularized over not; None: unknown
     depth_error: float | None = None  # of that, its standard error
+    dropout_alone: bool = False  # whether each step leaves Gaussians out, and nothing else changes
 
     def line(self, plan: Plan) -> str:
         """The line for the user, with the plan that follows."""
@@ -81,13 +85,13 @@ class Decision:
         why = "" if self.gain is None else f" (validation runs: {self.gain:+.1f} +-{self.error:.1f} dB"
         why += "" if self.depth is None else f", {math.exp(self.depth):.2f} times the error of depth"
         why += ")" if why else ""
+        share, without = f"{plan.phases[0].dropout:.0%}", "schedule.sparse_views=false trains without"
+        if self.dropout_alone:
+            return f"{self.photos} photos{apart}: each step leaves out {share} of the Gaussians; {without}"
         if not self.held_back:
             return f"{self.photos} photos{apart}: no sparse-view regularization{why}"
-        regularized = f"{plan.max_gaussians:,} Gaussians, of which each step leaves out {plan.phases[0].dropout:.0%}"
-        return (
-            f"{self.photos} photos{apart}: sparse-view regularization with {regularized}{why};"
-            " schedule.sparse_views=false trains without"
-        )
+        regularized = f"{plan.max_gaussians:,} Gaussians, of which each step leaves out {share}"
+        return f"{self.photos} photos{apart}: sparse-view regularization with {regularized}{why}; {without}"
 
 
 def for_sparse_views(
@@ -104,7 +108,8 @@ def for_sparse_views(
     Regularized, a run has half of the Gaussians, and some of them start from multi-view stereo. A term aligns them with
     the surface, and each step leaves some of them out. Views between the photos gain up to three decibels, or lose two
     (`experiments/results/few_photos.md`). So validation runs decide: by PSNR where its difference is significant, else
-    by the depth of matched points.
+    by the depth of matched points. With more photos, which are less far apart, a long run leaves Gaussians out and
+    changes nothing else; validation runs are too short to overfit these.
 
     Vanilla 3DGS is never regularized. Without `validate` the angle between the photos decides, from `FAR_APART` on.
     `before` is the decision that was made when this run began. A run that resumes keeps its number of Gaussians: no
@@ -116,9 +121,11 @@ def for_sparse_views(
     if not schedule.sparse_views or schedule.vanilla:
         return planned, None
     decision = Decision(**before) if before else _decide(planned, scene, validate)
-    if decision is None or not decision.held_back:
-        return planned, decision
-    return regularize(planned, may_lower=may_lower), decision
+    if decision is not None and decision.held_back:
+        planned = regularize(planned, may_lower=may_lower)
+    elif decision is not None and decision.dropout_alone:
+        planned = _with_dropout(planned, LEFT_OUT_ALONE)
+    return planned, decision
 
 
 def is_tried(photos: int, degrees: float | None, steps: int) -> bool:
@@ -128,9 +135,10 @@ def is_tried(photos: int, degrees: float | None, steps: int) -> bool:
 
 def _decide(planned: Plan, scene: Scene, validate: Validate | None) -> Decision | None:
     photos, degrees = len(scene.train_frames), angle_between_photos(scene)
-    by_angle = is_sparse(degrees)
     if validate is None or not is_tried(photos, degrees, planned.photos_seen):
-        return Decision(photos, degrees, None, None, held_back=True) if by_angle else None
+        held_back, alone = is_sparse(degrees), needs_dropout(photos, degrees, planned.photos_seen)
+        decision = Decision(photos, degrees, None, None, held_back, dropout_alone=alone and not held_back)
+        return decision if held_back or alone else None
     gain = validate(regularize)
     return Decision(photos, degrees, gain.decibels, gain.error, gain.helps, gain.depth, gain.depth_error)
 
@@ -138,10 +146,19 @@ def _decide(planned: Plan, scene: Scene, validate: Validate | None) -> Decision 
 def regularize(planned: Plan, *, may_lower: bool = True) -> Plan:
     """The plan of a run that overfits less; a plan that is regularized already stays as it is."""
     most = planned.max_gaussians // FEWER if may_lower else planned.max_gaussians
-    smoothed = planned.with_terms(SMOOTH)
-    phases = tuple(replace(phase, dropout=phase.dropout or LEFT_OUT) for phase in smoothed.phases)
     stereo_points = max(planned.stereo_points, most // STEREO_SHARE)
-    return replace(smoothed, phases=phases, max_gaussians=most, stereo_points=stereo_points)
+    smoothed = replace(planned.with_terms(SMOOTH), max_gaussians=most, stereo_points=stereo_points)
+    return _with_dropout(smoothed, LEFT_OUT)
+
+
+def _with_dropout(planned: Plan, share: float) -> Plan:
+    """The plan whose phases leave out their own share of the Gaussians, or else this one."""
+    return replace(planned, phases=tuple(replace(phase, dropout=phase.dropout or share) for phase in planned.phases))
+
+
+def needs_dropout(photos: int, degrees: float | None, steps: int) -> bool:
+    """Whether a run of so many steps overfits photos that are neither few nor far apart."""
+    return photos <= SOME and degrees is not None and degrees >= APART and steps >= LONG
 
 
 def is_sparse(angle: float | None) -> bool:

@@ -29,7 +29,7 @@ _STAGES = {str: {f"{name}?": NUMBER for name in ("seconds", "peak_gib", *FIGURES
 _EVIDENCE = {"on": bool, "evidence": NUMBER, "noise": NUMBER, "threshold": NUMBER, "unit": str, "note": str}
 _VALIDATED = {"gain": float, "error": float}
 _SPARSE_VIEWS = {"photos": int, "degrees": NUMBER, "gain": NUMBER, "error": NUMBER, "held_back": bool,
-                 "depth?": NUMBER, "depth_error?": NUMBER}  # fmt: skip
+                 "depth?": NUMBER, "depth_error?": NUMBER, "dropout_alone?": bool}  # fmt: skip
 MANIFEST = {
     **{f"{name}?": str for name in ("scene", "command", "created", "updated", "status", "photos", "normals")},
     "versions?": {str: str},

@@ -81,7 +81,7 @@ PACES = {"quick": 0.05, "fast": 0.1, "balanced": 0.3, "accurate": 0.8}
 
 @pytest.mark.parametrize(
     ("seconds", "expected"),
-    [(60, "quick"), (90, "quick"), (100, "fast"), (1080, "fast"), (1110, "balanced"), (3520, "accurate")],
+    [(60, "quick"), (90, "quick"), (100, "fast"), (485, "fast"), (510, "balanced"), (3520, "accurate")],
 )
 def test_the_preset_is_the_longest_of_which_two_fifths_fit_and_ends_within_the_budget(monkeypatch, seconds, expected):
     # quick takes 45 s; by relative costs fast is estimated at 239 s.

@@ -1,6 +1,6 @@
 """Photos on an arc around a few points, so many degrees apart."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +69,7 @@ def test_regularized_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none
     assert regularize(regularized_plan, may_lower=False) == regularized_plan, "a run that goes on is the same"
 
 
-@pytest.mark.parametrize("degrees", [FAR_APART - 1, FAR_APART + 1])
+@pytest.mark.parametrize("degrees", [4.0, FAR_APART + 1])
 @pytest.mark.parametrize("validate", [None, never], ids=["without validation", "in a short run"])
 def test_the_angle_decides_without_validation(degrees, validate):
     """A run that begins in another's checkpoint has no beginning to try, and a short one no time."""
@@ -104,6 +104,19 @@ def test_validation_decides_for_few_photos_by_depth_where_psnr_is_not_significan
     assert f"{gain.decibels:+.1f} +-{gain.error:.1f} dB" in line
     assert ("the error of depth" in line) == has_depth
     assert not has_depth or f"{np.exp(gain.depth):.2f} times the error of depth" in line
+
+
+def test_dropout_alone_where_photos_are_neither_few_nor_far_apart(monkeypatch):
+    monkeypatch.setattr(sparse_views, "FEW", PHOTOS - 1)
+    long_plan = plan(SETTINGS.replace(schedule={"phases": (replace(PHASES[0], steps=3000), PHASES[1])}))
+    final_plan, decision = for_sparse_views(long_plan, arc(13.0), SETTINGS.schedule, validate=never)
+    assert [phase.dropout for phase in final_plan.phases] == [0.3, 0.3]
+    assert replace(final_plan, phases=long_plan.phases) == long_plan, "nothing else changes"
+    assert "13 degrees apart: each step leaves out 30% of the Gaussians" in decision.line(final_plan)
+    again, _ = for_sparse_views(long_plan, arc(13.0), SETTINGS.schedule, before=asdict(decision))
+    assert again == final_plan, "a run that resumes is the same"
+    for photos, degrees, steps in ((31, 13.0, 3000), (30, 9.9, 3000), (30, 13.0, 2999), (30, None, 3000)):
+        assert sparse_views.needs_dropout(30, 10.0, 3000) and not sparse_views.needs_dropout(photos, degrees, steps)
 
 
 def test_many_photos_side_by_side_and_short_runs_are_not_tried():
