@@ -44,7 +44,7 @@ def run(
     if json:
         require_apart(json, run_folder, mesh, *lpips)
     score = partial(pipeline.evaluate, run_folder, mesh=mesh, lpips=lpips, **options)
-    figures = pipeline.noted(run_folder, "eval", score)
+    figures = pipeline.record_stage(run_folder, "eval", score)
     if json:
         json_files.write(json, figures)
     if not figures["views"]:

@@ -57,4 +57,4 @@ def run(source: str, **options: Any) -> dict[str, Any]:
     """Extract the mesh, and note the figures in the run."""
     from gsjax import pipeline
 
-    return pipeline.noted(source, "mesh", partial(pipeline.mesh, source, **options))
+    return pipeline.record_stage(source, "mesh", partial(pipeline.mesh, source, **options))

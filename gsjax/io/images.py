@@ -226,13 +226,13 @@ def _decoded(path: Path) -> Iterator[Any]:
             a_pixel += _CONVERTED * bool(picture.info.get("icc_profile"))
             stack.enter_context(memory_for(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height))
         is_of_16_bits = not _is_deep(picture) and ";16" in str(picture.tile)
-        picture = _loaded(path, picture)
+        picture = _load_pixels(path, picture)
         if is_of_16_bits:
             _check_bright(path, picture)
         yield picture
 
 
-def _loaded(path: Path, picture):
+def _load_pixels(path: Path, picture):
     """The picture with its pixels, or InputError where it is damaged."""
     with decoding(path):
         try:

@@ -83,7 +83,7 @@ def load_scene(
         raise InputError(f"folder_masks must be one of {', '.join(MASK_USES)}, not {folder_masks!r}")
     capture = _read_capture(root)
     selection = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
-    selection = _with_folder_masks(_selected(selection, photos), root / "masks" if masks is None else masks)
+    selection = _with_folder_masks(_named_in_file(selection, photos), root / "masks" if masks is None else masks)
     selection = with_image_circles(readable_photos(selection))
     place = read_place(root) if place is None else place
     selection = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in selection]
@@ -158,7 +158,7 @@ def _without_repeated(photos: Sequence[Photo]) -> list[Photo]:
     return [same[0] for name, same in by_name.items() if name not in differ]
 
 
-def _selected(photos: list[Photo], file: str | None) -> list[Photo]:
+def _named_in_file(photos: list[Photo], file: str | None) -> list[Photo]:
     """Those that a file names; two at least."""
     if file is None:
         return photos

@@ -18,7 +18,7 @@ from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
 from gsjax.pipeline.undistort import undistort
 from gsjax.planning.budget import budgeted, resized, scaled
-from gsjax.report.page import noted, report
+from gsjax.report.page import record_stage, report
 from gsjax.training.data_parallel import count_devices
 
 __all__ = [
@@ -33,7 +33,7 @@ __all__ = [
     "masks",
     "mesh",
     "normals",
-    "noted",
+    "record_stage",
     "refine",
     "render",
     "report",

@@ -133,13 +133,13 @@ def choose_effects(
     inspection = inspection or inspect_photos(request, scene)
     diagnosis = _with_masks(inspection.diagnosis or diagnose_scene(inspection.scene), skies)
     required = {*named_effects(request), *((SKY,) if with_sky or skies is not None else ())}
-    diagnosis = _without_needless(diagnosis, plan, _detected(diagnosis) if request == AUTO else required)
+    diagnosis = _without_needless(diagnosis, plan, _proposals(diagnosis) if request == AUTO else required)
     decision = EffectDecision()
     if request == AUTO:
-        proposed = tuple(name for name in _detected(diagnosis) if name not in required)
+        proposed = tuple(name for name in _proposals(diagnosis) if name not in required)
         decision = _decide(diagnosis, proposed, validate, before)
         diagnosis = _with_notes(diagnosis, decision)
-    names, masks = _selected(diagnosis, plan, required, decision)
+    names, masks = _selection(diagnosis, plan, required, decision)
     if SKY in required and not masks:
         raise InputError(f"sky: the photos of {scene.root} show no sky; effects.sky takes a folder of masks")
     evidence = _report(inspection, diagnosis, decision, names, masks)
@@ -153,7 +153,7 @@ def choose_effects(
     return ChosenEffects(effects, evidence, masks)
 
 
-def _detected(diagnosis: Diagnosis) -> tuple[str, ...]:
+def _proposals(diagnosis: Diagnosis) -> tuple[str, ...]:
     """The effects that "auto" may simulate and that the photos show, in the order in which they are validated."""
     return tuple(name for name, kind in effect_kinds().items() if kind.is_proposed and diagnosis.effects[name].on)
 
@@ -213,7 +213,7 @@ def _is_strong(evidence: Evidence) -> bool:
 def _with_notes(diagnosis: Diagnosis, decision: EffectDecision) -> Diagnosis:
     """The diagnosis with the validated gain and the decision in the note of each proposed effect."""
     uncovered = {kind.uncovers: name for name, kind in effect_kinds().items() if name in decision.selection}
-    noted, gains = {}, decision.validated
+    with_notes, gains = {}, decision.validated
     for name in decision.proposed:
         evidence, verdict = diagnosis.effects[name], "simulated" if name in decision.selection else "not simulated"
         why = "not validated, the run is too short"
@@ -221,11 +221,11 @@ def _with_notes(diagnosis: Diagnosis, decision: EffectDecision) -> Diagnosis:
         why = f"gains {gains[name]} in a validation run (needs {needs})" if name in gains else why
         why = "certain without validation" if evidence.is_certain else why
         why = f"part of the {uncovered[name]}" if name in uncovered else why
-        noted[name] = evidence._replace(note=f"{verdict}: {why}; {evidence.note}")
-    return diagnosis.with_evidence(noted)
+        with_notes[name] = evidence._replace(note=f"{verdict}: {why}; {evidence.note}")
+    return diagnosis.with_evidence(with_notes)
 
 
-def _selected(
+def _selection(
     diagnosis: Diagnosis, plan: Plan, required: Collection[str], decision: EffectDecision
 ) -> tuple[tuple[str, ...], Masks]:
     """The effects whose numbers training learns, and where photos show sky: a sky enables what its term uncovers."""

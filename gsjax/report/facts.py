@@ -86,6 +86,9 @@ def _dropout(run: RunFacts) -> Rows:
     """A row where steps leave Gaussians out; plans of earlier versions have no such entry."""
     share = max((phase.get("dropout", 0.0) for phase in run.plan["phases"]), default=0.0)
     reason = "sparse-view regularization: few photos, or far apart"
+    decision = run.manifest.get("sparse_views") or {}
+    if decision.get("dropout_alone") and _has_numbers(decision, "degrees"):
+        reason = f"a long run on {decision['photos']} photos that are {decision['degrees']:.0f} degrees apart"
     if run.settings["schedule"].get("dropout", 0.0):
         reason = f"requested: schedule.dropout={share:g}"
     return [("Left out of every step", f"{share:.0%} of the Gaussians", reason)] if share else []

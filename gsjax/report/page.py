@@ -57,11 +57,11 @@ def report_if_installed(folder: str | Path) -> None:
         print(f"no report: {error}", file=sys.stderr)
 
 
-def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def record_stage(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """Do the work of a stage on a run, record the figures that it returns in the run, and return them.
 
     They, `seconds` and `peak_gib` go to `stages` in RUN/manifest.json, and the report is made anew. Where that cannot
-    be written, a line says so: the work is done. Of anything but a run folder nothing is noted.
+    be written, a line says so: the work is done. Of anything but a run folder nothing is recorded.
     """
     restart_peak_memory()
     started = time.perf_counter()

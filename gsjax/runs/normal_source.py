@@ -133,7 +133,7 @@ class NormalSource:
     ) -> Iterator[np.ndarray]:
         """The maps of the missing frames: of the folder, of stereo, or of the Gaussians' smoothed depth."""
         if self.given is not None:
-            signs = self._detected(gaussians, frames) if self.signs is None else self.signs
+            signs = self._axis_signs(gaussians, frames) if self.signs is None else self.signs
             for frame in missing:
                 yield apply_axes(self.given[frame.name](), signs)
         elif self.stereo:
@@ -151,7 +151,7 @@ class NormalSource:
             cv2.resize(normals, (frame.width, frame.height), interpolation=cv2.INTER_NEAREST).astype(np.float32) / 127
         )
 
-    def _detected(self, gaussians: Gaussians, frames: Sequence[Frame]) -> np.ndarray:
+    def _axis_signs(self, gaussians: Gaussians, frames: Sequence[Frame]) -> np.ndarray:
         """Signs of the axes: the convention's where the views do not decide, or a network's record sets them.
 
         One line reports them and the comparison.

@@ -30,21 +30,21 @@ def relocate_scene(folder: str | Path, scene: str | Path) -> None:
     with lock_folder(folder):
         for file in (folder / "config.json", folder / "plan.json"):
             if file.exists():
-                json_files.write(file, _moved(json_files.read(file), before, place))
+                json_files.write(file, _relocate(json_files.read(file), before, place))
         update_manifest(folder, scene=place)
 
 
 def relocated_images(run: Run, scene: str | Path) -> str | None:
     """The folder of photos that a run names, where its data set is in `scene` now."""
-    return _moved(run.settings["photos"].get("images"), str(run.manifest["scene"]), str(Path(scene).resolve()))
+    return _relocate(run.settings["photos"].get("images"), str(run.manifest["scene"]), str(Path(scene).resolve()))
 
 
-def _moved(value: Any, before: str, now: str) -> Any:
+def _relocate(value: Any, before: str, now: str) -> Any:
     """JSON in which absolute paths in one folder are paths in another."""
     if isinstance(value, dict):
-        return {key: _moved(each, before, now) for key, each in value.items()}
+        return {key: _relocate(each, before, now) for key, each in value.items()}
     if isinstance(value, list):
-        return [_moved(each, before, now) for each in value]
+        return [_relocate(each, before, now) for each in value]
     if isinstance(value, str) and (value == before or value.startswith(f"{before}/")):
         return now + value[len(before) :]
     return value

@@ -107,12 +107,12 @@ class Similarity:
 
     def gaussians_to_local(self, gaussians: Gaussians) -> Gaussians:
         """Float32 numpy Gaussians of some in the world, whose means may be float64."""
-        return self._moved(gaussians, self.points_to_local(np.asarray(gaussians.means)), math.log(self.scale))
+        return self._with_means(gaussians, self.points_to_local(np.asarray(gaussians.means)), math.log(self.scale))
 
     def gaussians_to_world(self, gaussians: Gaussians) -> Gaussians:
         """The same in the world, numpy; the means are float64 where float32 would lose their place."""
         means = as_needed(self.points_to_world(np.asarray(gaussians.means)))
-        return self._moved(gaussians, means, -math.log(self.scale))
+        return self._with_means(gaussians, means, -math.log(self.scale))
 
     def mesh_to_local(self, mesh: Mesh) -> Mesh:
         """A mesh with float32 vertices of one in the world, whose vertices may be float64."""
@@ -122,7 +122,7 @@ class Similarity:
         """The same in the world; its vertices are float64 where float32 would lose their place."""
         return replace(mesh, vertices=as_needed(self.points_to_world(mesh.vertices)))
 
-    def _moved(self, gaussians: Gaussians, means: Any, log_factor: float) -> Gaussians:
+    def _with_means(self, gaussians: Gaussians, means: Any, log_factor: float) -> Gaussians:
         log_scales: Any = np.asarray(gaussians.log_scales) + np.float32(log_factor)
         return replace(gaussians, means=means, log_scales=log_scales)
 

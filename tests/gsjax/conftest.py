@@ -157,7 +157,7 @@ def library(monkeypatch):
 
     names = ("train", "mesh", "normals", "masks", "evaluate", "render", "undistort", "report", "compare")
     functions = {name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names}
-    install("gsjax.pipeline", **functions, noted=lambda run, stage, work: work())
+    install("gsjax.pipeline", **functions, record_stage=lambda run, stage, work: work())
     left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
     install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
     report = {"vanilla": {"psnr": 30.0, "chamfer": 0.004}, "surface": {"psnr": 31.0}, "floor": {"chamfer": 1e-4}}

@@ -2,7 +2,7 @@
 
 import io
 from base64 import b64decode
-from dataclasses import replace
+from dataclasses import asdict, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,11 +14,12 @@ from gsjax import cli, config, pipeline, runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.pipeline.compare import compare
+from gsjax.planning.sparse_views import Decision
 from gsjax.presets import preset
 from gsjax.rendering.gallery import Picture
 from gsjax.report import view_pictures
 from gsjax.report.curves import LEFT, RIGHT
-from gsjax.report.page import noted, report
+from gsjax.report.page import record_stage, report
 from gsjax.scene import Pixels, frame_of
 from gsjax.training.plan import plan
 
@@ -121,6 +122,27 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["jax"] == [json_files.read(run / "manifest.json")["versions"]["jax"]]
 
 
+def _with_dropout(plan):
+    return plan | {"phases": [phase | {"dropout": 0.3} for phase in plan["phases"]]}
+
+
+@pytest.mark.parametrize(
+    ("alone", "reason"),
+    [
+        (False, "sparse-view regularization: few photos, or far apart"),
+        (True, "a long run on 21 photos that are 14 degrees apart"),
+    ],
+)
+def test_the_page_says_why_steps_leave_gaussians_out(run, alone, reason):
+    decision = asdict(Decision(21, 14.4, None, None, held_back=not alone, dropout_alone=alone))
+    for file, change in (
+        ("plan.json", _with_dropout),
+        ("manifest.json", lambda record: record | {"sparse_views": decision}),
+    ):
+        json_files.write(run / file, change(json_files.read(run / file)))
+    assert Page(report(run)).cells["Left out of every step"] == ["30% of the Gaussians", reason]
+
+
 def test_nothing_of_a_name_becomes_markup_and_nothing_is_loaded(run, capsys):
     page = Page(report(run))
     tags = [tag for tag, _ in page.tags]
@@ -130,7 +152,7 @@ def test_nothing_of_a_name_becomes_markup_and_nothing_is_loaded(run, capsys):
     assert "http:" not in (text := (run / "report.html").read_text()) and "https:" not in text
     (run / "report.html").unlink()
     (run / "report.html").mkdir()
-    assert noted(run, "eval", lambda: {"psnr": 26.5}) == {"psnr": 26.5}, "work is not lost with its report"
+    assert record_stage(run, "eval", lambda: {"psnr": 26.5}) == {"psnr": 26.5}, "work is not lost with its report"
     assert "report: cannot write" in capsys.readouterr().err
 
 
