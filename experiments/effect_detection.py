@@ -3,21 +3,22 @@
     python experiments/effect_detection.py --scene NAME=PATH[@DOWNSCALE] ... [--seeds N]
 
 Every effect has some strengths, the first of which is 0; a detection without the effect is a false positive. The scenes
-should have none of the effects. Writes `results/effect_detection.json` and the curves,
-`docs/assets/effect_detection.png`, and prints the table. Nothing is trained: `auto` also validates what is proposed.
+should have none of the effects. A sky is put over places of its own, which are rendered. Writes
+`results/effect_detection.json` and the curves, `docs/assets/effect_detection.png`, and prints the table. Nothing is
+trained: `auto` also validates what is proposed.
 """
 
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import records
-from records import PICTURES
+from records import PICTURES, ROOT
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
@@ -27,7 +28,7 @@ from gsjax.io.files import atomic_path
 NAME = "effect_detection"
 
 Change = Callable[[Any, float, np.random.Generator], Any]
-"""(frame, strength, random numbers of its own) -> the frame with the effect."""
+"""(frame, strength, random numbers of its own) -> the frame with the effect; of a sky (place, ...) -> the scene."""
 
 
 class InjectedEffect(NamedTuple):
@@ -78,39 +79,91 @@ def blur(frame: Any, strength: float, rng: np.random.Generator) -> Any:
     return with_image(frame, lambda light: cv2.GaussianBlur(light, (0, 0), strength))
 
 
+def cover(frame: Any, strength: float, rng: np.random.Generator) -> Any:
+    """A square of one colour, over that share of the photo's pixels at most."""
+    if not strength:
+        return frame
+    side = int(np.sqrt(strength * frame.width * frame.height))
+    x, y = (rng.integers(max(size - side, 0) + 1) for size in (frame.width, frame.height))
+
+    def with_square(light: np.ndarray) -> np.ndarray:
+        light = light.copy()
+        light[y : y + side, x : x + side] = rng.uniform(size=3)
+        return light
+
+    return with_image(frame, with_square)
+
+
+def under_clouds(place: Any, strength: float, rng: np.random.Generator) -> Any:
+    """The scene of a place under clouds of that contrast, turned about the vertical; a contrast of 0 is flat grey."""
+    from plain_places import cloudy, flat_grey
+    from plain_scenes import photograph
+
+    turned = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi))
+
+    def sky(rays: np.ndarray) -> np.ndarray:
+        return (1 - strength) * flat_grey(rays) + strength * cloudy(turned.apply(rays))
+
+    return photograph(place._replace(sky=sky))[0]
+
+
 EFFECTS = {
     "exposure": InjectedEffect("EV between photos", (0, 0.02, 0.05, 0.1, 0.2, 0.4), expose),
     "vignetting": InjectedEffect("EV in the corners", (0, 0.05, 0.1, 0.2, 0.4, 0.8), darken_corners),
     "poses": InjectedEffect("pixels", (0, 0.1, 0.2, 0.4, 0.8, 1.6), turn),
     "blur": InjectedEffect("pixels", (0, 0.5, 1, 1.5, 2, 3), blur),
+    "transients": InjectedEffect("share of the pixels", (0, 0.05, 0.1, 0.2, 0.4, 0.6), cover),
+    "sky": InjectedEffect("contrast of its clouds", (0, 0.05, 0.1, 0.2, 0.5, 1), under_clouds),
 }
 
 
 def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
     """A row for every scene, effect, strength and seed, with the names of the effects that are detected."""
-    from gsjax.io.scenes import load_scene
     from gsjax.planning.effects import diagnose_scene
 
+    places = _places()
     jobs = [
         (name, effect, strength, seed)
-        for name in scenes
         for effect, each in EFFECTS.items()
+        for name in (places if effect == "sky" else scenes)
         for strength in each.strengths
         for seed in range(seeds if strength else 1)
     ]
-    rows, loaded = records.read(NAME), {}
+    rows, loaded = records.read(NAME), dict(places)
     done = {(row["scene"], row["effect"], row["strength"], row["seed"]) for row in rows}
     for name, effect, strength, seed in tqdm([job for job in jobs if job not in done], desc="diagnoses", unit="scene"):
-        path, _, downscale = scenes[name].partition("@")
-        scene = loaded.setdefault(name, load_scene(path, downscale=float(downscale or 1)))
-        streams = np.random.default_rng([seed, *effect.encode()]).spawn(len(scene.frames))
-        change, pairs = EFFECTS[effect].change, zip(scene.frames, streams, strict=True)
-        changed = replace(scene, frames=tuple(change(frame, strength, rng) for frame, rng in pairs))
+        if name not in loaded:
+            loaded[name] = _load(scenes[name])
+        rng = np.random.default_rng([seed, *effect.encode()])
+        changed = with_effect(loaded[name], effect, strength, rng)
         effects = diagnose_scene(changed).record()["effects"]
         detected = [each for each, evidence in effects.items() if evidence["on"]]
         rows.append({"scene": name, "effect": effect, "strength": strength, "seed": seed, "detected": detected})
         records.write(NAME, rows)
     return rows
+
+
+def _places() -> dict[str, Any]:
+    """Places under an open sky, of those that the tests of skies render."""
+    from plain_places import SKIES
+
+    return {"yard": SKIES["a yard, clouds"], "street": SKIES["a street, blue"]}
+
+
+def _load(scene: str) -> Any:
+    from gsjax.io.scenes import load_scene
+
+    path, _, downscale = scene.partition("@")
+    return load_scene(path, downscale=float(downscale or 1))
+
+
+def with_effect(scene: Any, effect: str, strength: float, rng: np.random.Generator) -> Any:
+    """A scene whose photos have an effect, each by random numbers of its own."""
+    change = EFFECTS[effect].change
+    if effect == "sky":
+        return change(scene, strength, rng)
+    pairs: Iterable[Any] = zip(scene.frames, rng.spawn(len(scene.frames)), strict=True)
+    return replace(scene, frames=tuple(change(frame, strength, stream) for frame, stream in pairs))
 
 
 def detections(rows: Sequence[Mapping[str, Any]], effect: str) -> dict[float, tuple[int, int]]:
@@ -138,13 +191,14 @@ def draw(rows: Sequence[Mapping[str, Any]], file: Path) -> None:
     """A panel an effect: the share of the scenes in which it is detected, against its strength."""
     from gsjax.report.figures import new_figure
 
-    figure = new_figure(2.3 * len(EFFECTS), 2.4)
-    panels = figure.subplots(1, len(EFFECTS), sharey=True)
-    for panel, (effect, each) in zip(panels, EFFECTS.items(), strict=True):
+    figure = new_figure(7.5, 4.6)
+    panels = figure.subplots(2, 3, sharey=True)
+    for panel, (effect, each) in zip(panels.flat, EFFECTS.items(), strict=True):
         counts = detections(rows, effect)
         panel.plot(list(counts), [100 * hits / count for hits, count in counts.values()], "o-")
         panel.set(title=effect, xlabel=each.unit)
-    panels[0].set_ylabel("detected, % of the scenes")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("detected, % of the scenes")
     with atomic_path(file) as temporary:
         figure.savefig(temporary, dpi=160, format="png")
 
@@ -155,6 +209,7 @@ def main() -> None:
     parser.add_argument("--scene", nargs="+", required=True, metavar="NAME=PATH[@DOWNSCALE]", help="clean data sets")
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="of every strength (default: 3)")
     arguments = parser.parse_args()
+    sys.path.append(str(ROOT / "tests"))
     rows = run(dict(each.split("=", 1) for each in arguments.scene), arguments.seeds)
     draw(rows, PICTURES / f"{NAME}.png")
     print(page_table(rows))
