@@ -4,8 +4,9 @@
 
 Trains, meshes and scores one run after another, seed by seed. A run of the scene `room` is also compared with the depth
 sensor (`room.py`), one of a scene with a true surface with that. Every run becomes a row of
-`results/accuracy_vs_time.json`. A row that is there is not run again; rows of another version of the product are
-dropped. Redraws `docs/assets/accuracy_vs_time.png` and prints the table of `docs/accuracy_vs_time.md`.
+`results/accuracy_vs_time.json`, with its processor. A row that is there is not run again; rows of another version of
+the product are dropped. Times are those of seed 0, which one machine should run. Redraws
+`docs/assets/accuracy_vs_time.png` and prints the table of `docs/accuracy_vs_time.md`.
 """
 
 import argparse
@@ -27,11 +28,15 @@ from records import PICTURES, ROOT, Row
 from gsjax.cli import run_guarded
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
+from gsjax.io.machine import machine
 
 NAME = "accuracy_vs_time"
 PRESETS = "quick", "fast", "balanced"
 SURFACE = {"f5": "F at 5 cm", "chamfer": "Chamfer distance, 1e-3"}
-HEADS = "Normals", "Steps; Gaussians", "Processor seconds", "PSNR", "SSIM", "Mesh normals", "Surface"
+HEADS = (
+    *("Scene", "Preset", "Normals", "Steps; Gaussians", "Minutes", "Processor seconds"),
+    *("PSNR", "SSIM", "Mesh normals", "Surface"),
+)
 
 
 def run(out: Path, scenes: Mapping[str, str], seeds: int, presets: Sequence[str]) -> list[Row]:
@@ -66,6 +71,7 @@ def measured(folder: Path, scene: str, preset: str, vanilla: bool, seed: int) ->
     compiled = sum(each["seconds"] for step in steps for each in step.get("compiled", ()))
     scores = json_files.read(folder / "eval.json")
     row = {
+        "cpu": machine()["cpu"],
         "minutes": minutes,
         "processor_seconds": seconds - compiled,
         "compilation_seconds": compiled,
@@ -103,24 +109,23 @@ def _gsjax(*arguments: str) -> None:
 
 
 def page_table(rows: Sequence[Row]) -> str:
-    """The table of the page: means over seeds, and half of the range; minutes where all rows have them."""
-    has_minutes = all("minutes" in row for row in rows)
+    """The table of the page: means over seeds, and half of the range; times of seed 0."""
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["scene"], row["preset"], row["vanilla"]), []).append(row)
-    lines = [["Scene", "Preset", *["Minutes"] * has_minutes, *HEADS]]
+    lines = [list(HEADS)]
     for (scene, preset, vanilla), group in groups.items():
-        first = group[0]
+        first = group[0]  # seed 0
         normals = "none" if vanilla or preset == "quick" else "stereo of the photos"
         kind = next((each for each in SURFACE if each in first), None)
         lines.append(
             [
                 f"*{scene}*",
                 f"vanilla 3DGS, steps of `{preset}`" if vanilla else f"`{preset}`",
-                *([spread(group, "minutes", 1)] if has_minutes else []),
                 normals,
                 f"{first['steps']:,}; {first['gaussians']:,}",
-                spread(group, "processor_seconds", 0),
+                f"{first['minutes']:.1f}",
+                f"{first['processor_seconds']:.0f}",
                 spread(group, "psnr", 2, " dB"),
                 spread(group, "ssim", 3),
                 spread(group, "mesh_normals", 1, " deg") if "mesh_normals" in first else "",
@@ -139,36 +144,42 @@ def spread(rows: Sequence[Row], name: str, digits: int, unit: str = "") -> str:
 
 
 def draw(rows: Sequence[Row], file: Path) -> None:
-    """Seconds against PSNR, and against the surface's score; a colour a scene, a line a method, a dot a seed."""
+    """A panel a scene and score, against seconds; a line a method, a dot a seed."""
     from gsjax.report.figures import new_figure
 
-    figure = new_figure(9.5, 4.2)
-    panels = figure.subplots(1, 2)
-    for panel, names in zip(panels, (("psnr",), tuple(SURFACE)), strict=True):
-        for color, scene in enumerate(dict.fromkeys(row["scene"] for row in rows)):
-            for label, vanilla, style in (("presets", False, "o-"), ("vanilla 3DGS", True, "s:")):
-                if points := _points([row for row in rows if row["scene"] == scene], vanilla, names):
-                    panel.plot(*np.concatenate(points).T, style[0], color=f"C{color}", label=f"{scene}, {label}")
-                    means = np.transpose([each.mean(axis=0) for each in points])
-                    panel.plot(*means, style[1:], color=f"C{color}")
-        panel.set_xscale("log")
+    scores = {"psnr": "PSNR, dB"} | SURFACE
+    drawn = [
+        (scene, name)
+        for name in scores
+        for scene in dict.fromkeys(row["scene"] for row in rows)
+        if any(name in row for row in rows if row["scene"] == scene)
+    ]
+    across = min(len(drawn), 3)
+    down = -(-len(drawn) // across)
+    figure = new_figure(3.2 * across, 2.7 * down)
+    panels = figure.subplots(down, across, squeeze=False).flat
+    for panel, (scene, name) in zip(panels, drawn, strict=False):
+        for label, vanilla, style in (("presets", False, "o-"), ("vanilla 3DGS", True, "s:")):
+            points = _points([row for row in rows if (row["scene"], row["vanilla"]) == (scene, vanilla)], name)
+            if points:
+                (dots,) = panel.plot(*np.concatenate(points).T, style[0], label=label)
+                panel.plot(*np.transpose([each.mean(axis=0) for each in points]), style[1:], color=dots.get_color())
+        panel.set(title=f"{scene}: {scores[name]}", xlabel="processor seconds", xscale="log")
         panel.xaxis.get_major_locator().set_params(subs=(1, 2, 5))
         panel.xaxis.set(major_formatter="{x:.0f}", minor_formatter="")
-        panel.set_xlabel("processor seconds of training")
-        panel.legend(fontsize=8)
-    panels[0].set_ylabel("held-out PSNR, exposure-corrected, dB")
-    panels[1].set_ylabel(" / ".join(SURFACE[name] for name in SURFACE if any(name in row for row in rows)))
+    for panel in [*panels][len(drawn) :]:
+        panel.set_axis_off()
+    figure.axes[0].legend(fontsize=8)
     with atomic_path(file) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
+        figure.savefig(temporary, dpi=130, format="png")
 
 
-def _points(rows: Sequence[Row], vanilla: bool, names: Sequence[str]) -> list[np.ndarray]:
-    """Of every preset, `[S, 2]` seconds and the score of that name which the rows have."""
+def _points(rows: Sequence[Row], name: str) -> list[np.ndarray]:
+    """Of every preset, `[S, 2]` seconds of seed 0 and the score."""
     points: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        for name in names:
-            if name in row and row["vanilla"] == vanilla:
-                points.setdefault(row["preset"], []).append((row["processor_seconds"], row[name]))
+        group = points.setdefault(row["preset"], [])
+        group.append((group[0][0] if group else row["processor_seconds"], row[name]))
     return [np.array(each) for each in points.values()]
 
 

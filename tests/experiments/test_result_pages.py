@@ -6,11 +6,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+TABLES = {  # result file: the script that prints its table, and the page that has it
+    "accuracy_vs_time": ("accuracy_vs_time", "accuracy_vs_time.md"),
+    "effect_detection": ("effect_detection", "effects.md"),
+    "ablation": ("compare", "comparisons.md"),
+}
 
 
-@pytest.mark.parametrize(
-    ("script", "page"), [("accuracy_vs_time", "accuracy_vs_time.md"), ("effect_detection", "effects.md")]
-)
-def test_a_page_has_the_table_of_the_results(scripts, script, page):
-    rows = json.loads((ROOT / f"experiments/results/{script}.json").read_text())["rows"]
+@pytest.mark.parametrize("results", TABLES)
+def test_a_page_has_the_table_of_the_results(scripts, results):
+    script, page = TABLES[results]
+    rows = json.loads((ROOT / f"experiments/results/{results}.json").read_text())["rows"]
     assert scripts(script).page_table(rows) in (ROOT / "docs" / page).read_text()
