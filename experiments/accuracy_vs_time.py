@@ -49,7 +49,7 @@ def run(out: Path, scenes: Mapping[str, str], seeds: int, presets: Sequence[str]
             folder = out / f"{name}_{preset}{'_vanilla' if vanilla else ''}_{seed}"
             print(f"== {folder.name}", flush=True)
             rows.append(key | measured(folder, scenes[name], preset, vanilla, seed))
-            records.write(NAME, rows)
+            records.write(NAME, rows, page_table(rows))
     return rows
 
 
@@ -148,17 +148,17 @@ def draw(rows: Sequence[Row], file: Path) -> None:
     from gsjax.report.figures import new_figure
 
     scores = {"psnr": "PSNR, dB"} | SURFACE
-    drawn = [
+    charts = [
         (scene, name)
         for name in scores
         for scene in dict.fromkeys(row["scene"] for row in rows)
         if any(name in row for row in rows if row["scene"] == scene)
     ]
-    across = min(len(drawn), 3)
-    down = -(-len(drawn) // across)
+    across = min(len(charts), 3)
+    down = -(-len(charts) // across)
     figure = new_figure(3.2 * across, 2.7 * down)
     panels = figure.subplots(down, across, squeeze=False).flat
-    for panel, (scene, name) in zip(panels, drawn, strict=False):
+    for panel, (scene, name) in zip(panels, charts, strict=False):
         for label, vanilla, style in (("presets", False, "o-"), ("vanilla 3DGS", True, "s:")):
             points = _points([row for row in rows if (row["scene"], row["vanilla"]) == (scene, vanilla)], name)
             if points:
@@ -167,7 +167,7 @@ def draw(rows: Sequence[Row], file: Path) -> None:
         panel.set(title=f"{scene}: {scores[name]}", xlabel="processor seconds", xscale="log")
         panel.xaxis.get_major_locator().set_params(subs=(1, 2, 5))
         panel.xaxis.set(major_formatter="{x:.0f}", minor_formatter="")
-    for panel in [*panels][len(drawn) :]:
+    for panel in [*panels][len(charts) :]:
         panel.set_axis_off()
     figure.axes[0].legend(fontsize=8)
     with atomic_path(file) as temporary:

@@ -158,9 +158,10 @@ def main() -> None:
     arguments = parser.parse_args()
     every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, on=arguments.on)
     rows = [{"variant": name} | row for name, each in every.items() for row in each]
+    table = page_table(rows)
     if arguments.record:
-        records.write(arguments.study, rows)
-    print(page_table(rows))
+        records.write(arguments.study, rows, table)
+    print(table)
 
 
 if __name__ == "__main__":

@@ -139,7 +139,7 @@ def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
         effects = diagnose_scene(changed).record()["effects"]
         detected = [each for each, evidence in effects.items() if evidence["on"]]
         rows.append({"scene": name, "effect": effect, "strength": strength, "seed": seed, "detected": detected})
-        records.write(NAME, rows)
+        records.write(NAME, rows, page_table(rows))
     return rows
 
 

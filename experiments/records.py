@@ -20,9 +20,9 @@ def read(name: str) -> list[Row]:
     return before["rows"] if before.get("version") == _about()["version"] else []
 
 
-def write(name: str, rows: Sequence[Row]) -> None:
-    """Write the rows as `results/NAME.json`."""
-    json_files.write(RESULTS / f"{name}.json", {**_about(), "rows": rows})
+def write(name: str, rows: Sequence[Row], table: str) -> None:
+    """Write the rows, and the table that a page has of them, as `results/NAME.json`."""
+    json_files.write(RESULTS / f"{name}.json", {**_about(), "table": table.splitlines(), "rows": rows})
 
 
 @cache
