@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PEERS = ("gsplat", "torch", "lpips")
-HARD_CASES = ("hard_cases_page", "hard_scenes", "scenes")  # modules of the tests
+OF_TESTS = ("hard_cases_page", "hard_scenes", "plain_places", "plain_scenes", "scenes")  # modules of the tests
 SCRIPTS = [path.stem for path in (ROOT / "experiments").rglob("*") if path.suffix == ".py" or path.is_dir()]
 
 
@@ -86,7 +86,7 @@ LAYERS = {
         # Among them peers to time ours against, the cases to measure them on, and the scripts themselves: one imports
         # another by its bare name.
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "pycolmap", "websockets")
-        + (*PEERS, *HARD_CASES, *SCRIPTS),
+        + (*PEERS, *OF_TESTS, *SCRIPTS),
     ),
 }
 HEAVY = {"numba", "open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}
