@@ -11,7 +11,7 @@ trained: `auto` also validates what is proposed.
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ from gsjax.io.files import atomic_path
 NAME = "effect_detection"
 
 Change = Callable[[Any, float, np.random.Generator], Any]
-"""(frame, strength, random numbers of its own) -> the frame with the effect; of a sky (place, ...) -> the scene."""
+"""(frame, strength, random numbers of its own) -> the frame with the effect; (scene or place, ...) -> the scene."""
 
 
 class InjectedEffect(NamedTuple):
@@ -107,12 +107,23 @@ def under_clouds(place: Any, strength: float, rng: np.random.Generator) -> Any:
     return photograph(place._replace(sky=sky))[0]
 
 
+def in_photos(change: Change) -> Change:
+    """The change of a scene that changes each frame, by random numbers of its own."""
+
+    def changed(scene: Any, strength: float, rng: np.random.Generator) -> Any:
+        streams = rng.spawn(len(scene.frames))
+        frames = (change(frame, strength, stream) for frame, stream in zip(scene.frames, streams, strict=True))
+        return replace(scene, frames=tuple(frames))
+
+    return changed
+
+
 EFFECTS = {
-    "exposure": InjectedEffect("EV between photos", (0, 0.02, 0.05, 0.1, 0.2, 0.4), expose),
-    "vignetting": InjectedEffect("EV in the corners", (0, 0.05, 0.1, 0.2, 0.4, 0.8), darken_corners),
-    "poses": InjectedEffect("pixels", (0, 0.1, 0.2, 0.4, 0.8, 1.6), turn),
-    "blur": InjectedEffect("pixels", (0, 0.5, 1, 1.5, 2, 3), blur),
-    "transients": InjectedEffect("share of the pixels", (0, 0.05, 0.1, 0.2, 0.4, 0.6), cover),
+    "exposure": InjectedEffect("EV between photos", (0, 0.02, 0.05, 0.1, 0.2, 0.4), in_photos(expose)),
+    "vignetting": InjectedEffect("EV in the corners", (0, 0.05, 0.1, 0.2, 0.4, 0.8), in_photos(darken_corners)),
+    "poses": InjectedEffect("pixels", (0, 0.1, 0.2, 0.4, 0.8, 1.6), in_photos(turn)),
+    "blur": InjectedEffect("pixels", (0, 0.5, 1, 1.5, 2, 3), in_photos(blur)),
+    "transients": InjectedEffect("share of the pixels", (0, 0.05, 0.1, 0.2, 0.4, 0.6), in_photos(cover)),
     "sky": InjectedEffect("contrast of its clouds", (0, 0.05, 0.1, 0.2, 0.5, 1), under_clouds),
 }
 
@@ -135,8 +146,7 @@ def run(scenes: Mapping[str, str], seeds: int) -> list[dict[str, Any]]:
         if name not in loaded:
             loaded[name] = _load(scenes[name])
         rng = np.random.default_rng([seed, *effect.encode()])
-        changed = with_effect(loaded[name], effect, strength, rng)
-        effects = diagnose_scene(changed).record()["effects"]
+        effects = diagnose_scene(EFFECTS[effect].change(loaded[name], strength, rng)).record()["effects"]
         detected = [each for each, evidence in effects.items() if evidence["on"]]
         rows.append({"scene": name, "effect": effect, "strength": strength, "seed": seed, "detected": detected})
         records.write(NAME, rows, page_table(rows))
@@ -155,15 +165,6 @@ def _load(scene: str) -> Any:
 
     path, _, downscale = scene.partition("@")
     return load_scene(path, downscale=float(downscale or 1))
-
-
-def with_effect(scene: Any, effect: str, strength: float, rng: np.random.Generator) -> Any:
-    """A scene whose photos have an effect, each by random numbers of its own."""
-    change = EFFECTS[effect].change
-    if effect == "sky":
-        return change(scene, strength, rng)
-    pairs: Iterable[Any] = zip(scene.frames, rng.spawn(len(scene.frames)), strict=True)
-    return replace(scene, frames=tuple(change(frame, strength, stream) for frame, stream in pairs))
 
 
 def detections(rows: Sequence[Mapping[str, Any]], effect: str) -> dict[float, tuple[int, int]]:

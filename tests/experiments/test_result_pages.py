@@ -20,3 +20,11 @@ def test_a_page_has_the_table_of_the_results(scripts, results):
     table = scripts(script).page_table(record["rows"])
     assert record["table"] == table.splitlines()
     assert table in (ROOT / "docs" / page).read_text()
+
+
+def test_times_are_of_one_machine():
+    """The table has the times of seed 0, the first row of every preset and scene."""
+    rows = json.loads((ROOT / "experiments/results/accuracy_vs_time.json").read_text())["rows"]
+    assert len({row["cpu"] for row in rows if row["seed"] == 0}) == 1
+    kinds = [(row["scene"], row["preset"], row["vanilla"]) for row in rows]
+    assert all(rows[kinds.index(kind)]["seed"] == 0 for kind in kinds)
